@@ -102,9 +102,7 @@ class Link:
         quiet_until = time.monotonic() + quiet_s
         while (now := time.monotonic()) < quiet_until:
             if now >= deadline:
-                raise self._error(
-                    f"{self.url} sends without a pause: is it the right port, and the baud rate the instrument's own?"
-                )
+                raise self._error(f"{self.url} sends without a pause: check the port, and the instrument's baud rate")
             if self._read(wait=True):
                 quiet_until = time.monotonic() + quiet_s
             self._arrived.clear()
@@ -212,7 +210,7 @@ class Link:
         if isinstance(failure, ValueError | OverflowError):
             return f"{self.url} cannot be set to {baud} baud: {text}"
         if network:
-            return f"{self.url} does not answer ({text.rpartition('] ')[2]}): is the instrument on, the address right?"
+            return f"{self.url} does not answer ({text.rpartition('] ')[2]}): check its power and the address"
         if code == errno.ENOENT or "FileNotFoundError" in text:
             return f"there is no port {self.url}: `colorphase devices` lists this machine's"
         if code in (errno.EAGAIN, errno.EBUSY) or "PermissionError" in text:

@@ -7,6 +7,7 @@ the camera's exposures are wired back, one of them to every pulse. When a frame 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -25,10 +26,10 @@ _ARRIVAL_TOLERANCE = 0.5
 # At least three missed pulses, two pulses apart or more, all as far apart: a camera that is still busy when they come.
 # A cable that is out misses every pulse.
 _REGULAR_MISSES, _CLOSEST_MISSES = 3, 2
-# What to look at, the likeliest first.
-_TRIGGER = "check the camera's trigger cable"
-_LINE = f"{_TRIGGER}, and that its trigger line is the one in use"
-_NOISE = "check the shields of the camera's cables"
+# What to look at; of two that a burst does not tell apart, what does.
+_TRIGGER = "the camera's trigger cable lost it, or the camera was not ready, which a longer period cures"
+_LINE = "check the camera's trigger cable, and that its trigger line is the one in use"
+_NOISE = "no pulse made it: there is noise on the trigger cable, or the camera runs free, which goes on with it out"
 _SOFTWARE = "the camera or this machine is too slow; make the period longer"
 _DATA = "check the camera's data cable and its bandwidth"
 _BUSY = "let nothing else keep this machine busy, or make the period longer"
@@ -38,14 +39,25 @@ _TWICE = "the camera or its driver delivers frames twice; switch it off and on"
 _SET_BACK = "do not set or synchronise it, or restart the camera, during a capture"
 # Ticks of cameras' clocks of 32 bits, s.
 _TICKS_S = (1e-6, 1e-7, 1e-8, 8e-9, 1e-9)
-_IGNORED = "make the period longer, or check the shields of the camera's cables"
+_IGNORED = "the period is too short, which a longer one cures, or noise on the trigger cable came between pulses"
+
+
+#: All faults; the tests have bursts with each of them, and with nothing else.
+FaultKey = Literal[
+    "before its exposure", "camera busy", "clock set back", "clock wrapped", "computer behind", "computer busy",
+    "exposure off its pulse", "exposures missing", "frame early", "frame late", "frame not whole", "frames lost",
+    "frames missing", "frames shifted", "instrument failed", "light changed", "no alternating pictures", "no frame",
+    "no frame, no picture", "one level", "picture missing", "pictures missing", "pulses missing", "same frame",
+    "slow start", "strobe", "too many exposures", "too many frames", "trigger complains", "trigger ignored",
+    "trigger restarted", "uneven latency",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Fault:
     """What is wrong with a burst: a key and one line, with the pulse that it begins at where that is known."""
 
-    key: str
+    key: FaultKey
     reason: str
     pulse: int | None = None
     may_pass: bool = False  # what comes after may show that the computer was busy, and no more
@@ -154,6 +166,7 @@ def _trigger_faults(seen: Evidence) -> list[Fault]:
 
 def _count_faults(seen: Evidence) -> list[Fault]:
     pulses, strobes = seen.ended.pulses or 0, seen.ended.strobes or 0
+    key: FaultKey
     if seen.strobes is not None:
         if found := _strobe_faults(seen, len(seen.strobes)):
             return found
@@ -172,7 +185,7 @@ def _count_faults(seen: Evidence) -> list[Fault]:
     if n == 0:
         look = _DATA if seen.by_software else _LINE
         return [Fault("no frame", f"no frame came: {look}", seen.first_pulse)]
-    look = _SOFTWARE if seen.by_software else f"{_TRIGGER}, then its data cable"
+    look = _SOFTWARE if seen.by_software else f"{_TRIGGER}; or its data cable did"
     return [Fault("frames missing", f"{n} frames to {seen.count} pulses: {look}", _first_gap(seen))]
 
 
@@ -187,6 +200,7 @@ def _strobe_faults(seen: Evidence, n: int) -> list[Fault]:
             return [Fault("too many exposures", reason, without[0] if without else None)]
         return _strobe_time_faults(seen)
     gaps = set(np.diff(without).tolist())
+    key: FaultKey
     if n == 0 and not seen.frames:
         key, reason = "no frame", f"no exposure was seen, and no frame came: {_LINE}"
     elif len(seen.frames) == seen.count and not _time_faults(seen):
@@ -260,6 +274,7 @@ def _steps(seen: Evidence) -> list[float | None]:
 def _frame_faults(seen: Evidence) -> list[Fault]:
     found = []
     before = seen.previous
+    key: FaultKey
     for pulse, frame in enumerate(seen.frames, seen.first_pulse):
         if frame.image is None:
             found.append(Fault("frame not whole", f"its frame is not whole ({frame.fault}): {_DATA}", pulse))
@@ -290,6 +305,7 @@ def is_same_image(one: Levels | None, other: Levels | None) -> bool:
 
 def _time_faults(seen: Evidence) -> list[Fault]:
     steps = _steps(seen)
+    key: FaultKey
     for pulse, step in enumerate(steps, seen.first_pulse):
         if step is not None and step < 0:
             back_s = (1 - step) * seen.train.period_s  # from where it would have been a period later
@@ -297,8 +313,10 @@ def _time_faults(seen: Evidence) -> list[Fault]:
             key, look = ("clock wrapped", _WRAPPED) if wrapped else ("clock set back", _SET_BACK)
             return [Fault(key, f"the camera's clock went back by {back_s:.2f} s: {look}", pulse)]
         if step is not None and abs(step - 1) > seen.tolerance:
-            key, likely = ("frame late", _TRIGGER) if step > 1 else ("frame early", _NOISE)
-            look = _SOFTWARE if seen.by_software else likely
+            key = "frame late" if step > 1 else "frame early"
+            # Where pulses were lost, the next frame is whole periods later.
+            lost = round(step) > 1 and abs(step - round(step)) <= seen.tolerance
+            look = _SOFTWARE if seen.by_software else _TRIGGER if lost else _NOISE
             return [Fault(key, f"its frame is {step:.2f} periods after the one before: {look}", pulse)]
     return _arrival_faults(seen, steps) or _start_faults(seen, steps)
 
@@ -359,7 +377,7 @@ def _likely(seen: Evidence) -> str:
     return _lost_by(seen)[1] if seen.strobes is not None else _TRIGGER
 
 
-def _lost_by(seen: Evidence) -> tuple[str, str]:
+def _lost_by(seen: Evidence) -> tuple[FaultKey, str]:
     """Return what has lost frames that were exposed: a busy machine took others a period late, a cable does not."""
     times_s = [(frame.host_time_s, frame.device_time_s) for frame in seen.frames]
     delays_s = [host_s - device_s for host_s, device_s in times_s if device_s is not None]

@@ -89,6 +89,15 @@ class FrameFormat:
 
 
 @dataclass(frozen=True)
+class SensorPart:
+    """The part of its sensor that a camera reads out; with its size, which is that of the frames."""
+
+    sensor_px: tuple[int, int]  # width and height of the sensor
+    offset_px: tuple[int, int]  # first column and row that are read out, of the sensor
+    binning: tuple[int, int]  # columns and rows of the sensor that make one of the frame
+
+
+@dataclass(frozen=True)
 class CameraLimits:
     """What a camera can do as it is set up."""
 
@@ -97,6 +106,7 @@ class CameraLimits:
     exposure_s: tuple[float, float]  # shortest and longest
     min_period_s: float  # of frames at the present exposure, readout included
     triggered: bool  # False: it takes frames when told to by software, some time later
+    sensor: SensorPart | None = None  # None: the camera does not say
 
 
 @dataclass(frozen=True)

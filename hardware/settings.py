@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, model_validator
 from pydantic_core import core_schema
 
 from hardware.drivers import CAMERAS, PROJECTORS, SIMULATED, SOFTWARE, TRIGGERS
@@ -105,6 +105,13 @@ class CameraSettings(_Section):
     """The line that the trigger source is wired to, or "software"."""
     strobe_line: str | None = None
     """The line that is to tell of exposures, as Line2; None: none."""
+
+    @model_validator(mode="after")
+    def _check(self) -> "CameraSettings":
+        # A real camera lists its own when it is opened.
+        if self.driver == SIMULATED and self.pixel_format not in (None, "RGB8"):
+            raise ValueError(f'pixel_format must be "RGB8" with the simulated camera, got {self.pixel_format[:40]!r}')
+        return self
 
 
 class FieldSettings(_Section):

@@ -9,13 +9,14 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.calibration import Calibration, CodeName
-from pipeline.causes import Cause
+from pipeline.causes import Cause, Key
 from pipeline.contrast_code import ContrastCode
 from pipeline.decoding.buffers import BufferPool, PhaseBuffers, SurfaceBuffers, clear_buffers
 from pipeline.decoding.doubts import (
     CODE_SHOWN,
     Changed,
     few_pixels_doubt,
+    folded_lens_doubt,
     fringe_doubt,
     light_doubts,
     over_exposure_doubt,
@@ -38,7 +39,7 @@ from pipeline.settings import DecodeSettings
 from tikernels import runtime
 from tikernels.arrays import LevelsImage
 from tikernels.depth.point_uncertainty import point_sigma
-from tikernels.depth.triangulation import triangulate
+from tikernels.depth.triangulation import leave_out_blind, triangulate
 from tikernels.order_evidence import follow_phase
 from tikernels.phase.camera_blur import undo_camera_blur
 from tikernels.phase.crosstalk import Crosstalk
@@ -188,9 +189,10 @@ class Decoder:
                     if self._setup.rays is None:
                         sign, clear = self._find_front(measured.surface, self._work(frame, period_px))
                         measured = replace(measured, range_sign=sign, front_is_clear=clear)
-            if frame.repeated is not None:
-                found = (*measured.light_doubts, repeated_chroma_doubt(frame.repeated))
-                measured = replace(measured, light_doubts=found)
+            found = [] if frame.repeated is None else [repeated_chroma_doubt(frame.repeated)]
+            if self._setup.rays is not None and self._setup.rays.n_blind:
+                found.append(folded_lens_doubt(self._setup.rays.n_blind, frame.shape))
+            measured = replace(measured, light_doubts=(*measured.light_doubts, *found))
             for doubt in measured.doubts:
                 warnings.warn(doubt, DecodeWarning, stacklevel=2)
             result = DecodedFrame(period_px, levels.noise, measured.doubts, measured, self._setup)
@@ -264,6 +266,8 @@ class Decoder:
         if motion is not None:
             doubt_motion(motion, phases.precision, out=phases.misfit)
         undo_camera_blur(work.fitted_phase, work.brightness, phases.precision, out=(work.raw_phase, phases.misfit))
+        if rays is not None and rays.n_blind:
+            leave_out_blind(rays.rays, out=work.raw_phase)
         # Its neighbours: smoothing, patches joined to regions, and the whole cycles of each.
         measure_rates(work.raw_phase, phases.modulation, out=rates)
         work.smoother.along(work.raw_phase, phases.precision, rates, out=work.phase)
@@ -302,6 +306,8 @@ class Decoder:
         fast = 0.0 if motion is None else motion.too_fast
         doubt = np.hypot(mismatch, 0.0 if odd is None else odd.phase_rad) if found is None else found.constant_sigma
         light = (model.contrast, mismatch, odd, fast, lambda: self._mm_per_rad(surface))
+        order_doubt = placement.warning or lost
+        code_lost = order_doubt is not None and order_doubt.key in {"code too weak", "orders guessed"}
         return Measured(
             phases,
             surface,
@@ -314,8 +320,8 @@ class Decoder:
             constant_sigma=float(np.hypot(path.constant_sigma, doubt)),
             mismatch=mismatch,
             contrast_doubt=path.contrast_doubt,
-            order_doubt=placement.warning or lost,
-            light_doubts=light_doubts(*light, constant_known=path.constant_known),
+            order_doubt=order_doubt,
+            light_doubts=light_doubts(*light, constant_known=path.constant_known, code_lost=code_lost),
         )
 
     def _kept_light(
@@ -358,7 +364,7 @@ class Decoder:
         period_px: float,
     ) -> Measured:
         """Return what was measured with the doubts of its exposure, or nothing where the rig cannot show it."""
-        few = few_pixels_doubt(frame, levels, measured.n_measured)
+        few = few_pixels_doubt(frame, levels, float(self._work(frame, period_px).model.contrast), measured.n_measured)
         if few is not None:  # of which little else can be said
             orders = measured.order_doubt if measured.n_measured else None
             return replace(measured, order_doubt=orders, light_doubts=(few,))
@@ -367,24 +373,26 @@ class Decoder:
             measured = replace(measured, light_doubts=(over, *measured.light_doubts))
         if self._expected is not None:
             rate = float(runtime.to_host(self._work(frame, period_px).rates)[-1, RATE_ACROSS])  # synchronises
+            seen_px = statistics.period_px or period_px
             if self._expected.is_reversed(rate):
                 contradiction: Cause | None = reversed_doubt(self._decode_changed(frame, levels, period_px, measured))
             else:
-                contradiction = self._expected.contradiction(rate)
+                contradiction = self._expected.contradiction(rate, seen_px)
             if contradiction is not None:
                 clear_buffers(measured.phases, measured.surface)
                 return Measured(measured.phases, measured.surface, order_doubt=contradiction)
-            surprise = self._expected.surprise(rate)
+            surprise = self._expected.surprise(rate, seen_px)
             if surprise is not None:
                 measured = replace(measured, light_doubts=(surprise, *measured.light_doubts))
         return measured
 
     def _decode_changed(
         self, frame: LinearFrame, levels: FrameLevels, period_px: float, measured: Measured
-    ) -> dict[str, Changed]:
+    ) -> dict[Key, Changed]:
         """Decode a frame turned over, and with red and blue exchanged, into the same buffers."""
-        image, changed = runtime.to_host(frame.image), dict[str, Changed]()
-        for key, other in (("turned over", image[::-1, ::-1]), ("colours swapped", image[..., ::-1])):
+        image, changed = runtime.to_host(frame.image), dict[Key, Changed]()
+        others: dict[Key, LevelsImage] = {"turned over": image[::-1, ::-1], "colours swapped": image[..., ::-1]}
+        for key, other in others.items():
             again = LinearFrame(runtime.to_device(np.ascontiguousarray(other)), frame.white, shared=False)
             found = self._measure(again, levels, period_px, None, measured.phases, measured.surface)
             known = found.orders.known[runtime.to_host(found.surface.region)].sum() / max(1, found.n_measured)

@@ -2,9 +2,9 @@
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +13,9 @@ from pydantic.json_schema import GenerateJsonSchema, JsonSchemaWarningKind
 from pydantic_core import core_schema
 
 from pipeline.limits import read_text
+
+if TYPE_CHECKING:
+    from hardware.protocols import CameraLimits
 
 FloatArray = npt.NDArray[np.float64]
 #: Levels in any element type that cameras and files give: a colour image (H, W, 3), or one plane of a stored frame.
@@ -82,6 +85,26 @@ class CameraState(Model):
     white_balance: Vector3 | None = None
     transfer: Literal["linear", "srgb", "bt709"] | Annotated[FloatArray, ArrayOf((256,))] | None = None
     """The camera's encoding of light; or, measured, the linear light of 256 levels, from 0 to 1."""
+
+
+_Count = Annotated[int, Field(ge=1, lt=2**20)]
+_Offset = Annotated[int, Field(ge=0, lt=2**20)]
+
+
+class SensorPart(Model):
+    """The part of its sensor that a camera's frames are, as `hardware.SensorPart` says it."""
+
+    sensor_px: tuple[_Count, _Count]  # width and height of the sensor
+    offset_px: tuple[_Offset, _Offset]  # first column and row that are read out, of the sensor
+    binning: tuple[_Count, _Count]  # columns and rows of the sensor that make one of the frame
+
+    @classmethod
+    def of(cls, limits: "CameraLimits") -> "SensorPart | None":
+        """Return that of a camera as it is set up; None: it does not say."""
+        return None if limits.sensor is None else cls.model_validate(asdict(limits.sensor))
+
+    def __str__(self) -> str:
+        return "{}x{} from {},{}, binned {}x{}".format(*self.sensor_px, *self.offset_px, *self.binning)
 
 
 def build(model: type[M], values: Any, error: type[Exception], where: str) -> M:

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import cache
 from itertools import groupby
 from typing import Any
 
@@ -703,6 +704,7 @@ def fit_phase(
     return stepped, precision
 
 
+@cache
 def chroma_weights(n_pixels: int, subsampling: int, site: float, missing: int) -> Array:
     """Return (pixels, samples) weights: the polynomial whose means at the nearest samples are those.
 

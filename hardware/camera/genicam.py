@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from hardware.camera.opened_camera import Setup
 from hardware.errors import CameraError, RigError
-from hardware.protocols import CameraLimits, FrameFormat, Levels
+from hardware.protocols import CameraLimits, FrameFormat, Levels, SensorPart
 from hardware.settings import CameraSettings
 
 Value = str | float | int | bool
@@ -113,7 +113,7 @@ def set_up(features: Features, settings: CameraSettings) -> Setup:
     unlocked: list[str] = []
     _release(features)
     name, frame_format = _set_pixel_format(features, settings.pixel_format)
-    size_px = _set_size(features, settings.size_px)
+    size_px, sensor = _set_size(features, settings.size_px)
     for feature, value, harm in _FIXED:
         _fix(features, feature, value, harm, unlocked)
     _fix_gamma(features, unlocked)
@@ -131,6 +131,7 @@ def set_up(features: Features, settings: CameraSettings) -> Setup:
         exposure_s=(least_us / 1e6, most_us / 1e6),
         min_period_s=_min_period_s(features, exposure_s, unlocked),
         triggered=True,
+        sensor=sensor,
     )
     return Setup(limits, exposure_s, tuple(unlocked), swapped=name.startswith("BGR"))
 
@@ -279,11 +280,12 @@ def _set_pixel_format(features: Features, asked: str | None) -> tuple[str, Frame
     return asked, formats[asked]
 
 
-def _set_size(features: Features, asked: tuple[int, int] | None) -> tuple[int, int]:
+def _set_size(features: Features, asked: tuple[int, int] | None) -> tuple[tuple[int, int], SensorPart | None]:
+    """Return width and height of the frames, and the part of the sensor that they are; None: it is not known."""
     for name, value in _GEOMETRY:
         if features.has(name) and features.get(name) != value:
             require(features, name, value)
-    sides = []
+    sides, wholes, offsets = [], [], []
     for axis, (size, offset) in enumerate((("Width", "OffsetX"), ("Height", "OffsetY"))):
         if features.has(offset):
             features.set(offset, 0)
@@ -299,8 +301,15 @@ def _set_size(features: Features, asked: tuple[int, int] | None) -> tuple[int, i
             # Even, so that the mosaic begins with the same colour.
             grid = lcm(features.step(offset), 2)
             features.set(offset, (most - side) // 2 // grid * grid)
+            offsets.append(int(_number(features, offset)))
+        elif side == most:
+            offsets.append(0)
         sides.append(side)
-    return sides[0], sides[1]
+        wholes.append(most)
+    sensor = None
+    if len(offsets) == 2:
+        sensor = SensorPart(sensor_px=(wholes[0], wholes[1]), offset_px=(offsets[0], offsets[1]), binning=(1, 1))
+    return (sides[0], sides[1]), sensor
 
 
 def _fix(features: Features, name: str, value: Value, harm: str, unlocked: list[str]) -> None:

@@ -2,6 +2,9 @@
 
 A webcam has no trigger, no frame numbers and no clock, makes frames all the time, and its driver keeps some of them. So
 a trigger here means: throw away as many frames as could have been begun before it, and keep the next one.
+
+Frames are OpenCV's RGB, not the planes that the webcam sends (CAP_PROP_CONVERT_RGB = 0), which do not say their matrix:
+decoding takes YUYV's samples out of RGB again, to 0.003 mm of what the planes give (docs/cameras.md).
 """
 
 import sys

@@ -127,7 +127,9 @@ class InFocus:
         self._send(f"{name}{value}")
         after = self._read(name)
         if after is not None and after.value != value:
-            raise ProjectorError(f"the projector did not take ({name}{value}) and stays at {after.value}: is it on?")
+            raise ProjectorError(
+                f"the projector did not take ({name}{value}) and stays at {after.value}: check that it is on"
+            )
 
     def _read(self, name: str) -> _Setting | None:
         """Return a setting; None: it does not tell."""

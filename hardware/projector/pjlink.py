@@ -216,8 +216,8 @@ class _Session:
                 raise _RefusedError(answer[-1], f"{command} {parameter}")
             return answer
         raise ProjectorError(
-            f"{self._url} does not answer {command} {parameter} within {ANSWER_S:g} s: is it a PJLink projector? "
-            "Switch it off at the mains and on again"
+            f"{self._url} does not answer {command} {parameter} within {ANSWER_S:g} s: "
+            "switch it off at the mains and on again"
         )
 
     def told(self, query: str, otherwise: str | None = None) -> str | None:

@@ -58,8 +58,7 @@ class Dialogue:
                     f"{link.url}: this is {line!r}, not a {instrument}: correct the trigger's port or driver"
                 )
         raise TriggerError(
-            f"{link.url}: no {instrument} answers: is it on, its cable in, this its remote interface, the baud rate "
-            "its own?"
+            f"{link.url}: no {instrument} answers: check its power, cable, remote interface and baud rate"
         )
 
     def ask(self, question: str, answer: str, *, once: bool = False) -> str:
@@ -75,10 +74,11 @@ class Dialogue:
                 return said
             self._in_step = False
         if said is None:
-            raise TriggerError(f"{self.link.url}: the {self._instrument} does not answer {question!r}: is it still on?")
+            silent = f"the {self._instrument} does not answer {question!r}"
+            raise TriggerError(f"{self.link.url}: {silent}: check its power and cable")
         raise TriggerError(
-            f"{self.link.url}: the {self._instrument} answers {question!r} with {said!r}, which makes no sense: is the "
-            "cable good, and no other program on the port?"
+            f"{self.link.url}: the {self._instrument} answers {question!r} with {said!r}, which makes no sense: check "
+            "its cable, and that no other program has the port"
         )
 
     def _next(self, question: str, deadline: float) -> str | None:
@@ -98,4 +98,6 @@ class Dialogue:
                 if line == self._name:
                     self._in_step = True
                     return
-        raise TriggerError(f"{self.link.url}: the {self._instrument} does not answer any more: is it still on?")
+        raise TriggerError(
+            f"{self.link.url}: the {self._instrument} does not answer any more: check its power and cable"
+        )

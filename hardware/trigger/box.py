@@ -312,8 +312,8 @@ class TriggerBox(PortTrigger):
             except _Lost as failure:
                 if time.monotonic() > deadline_s:
                     raise TriggerError(
-                        f"{self._link.url}: no trigger box answers{failure.heard}: is it in, flashed, and this its "
-                        "port?"
+                        f"{self._link.url}: no trigger box answers{failure.heard}: check its cable, its firmware "
+                        "and the port"
                     ) from None
         if said.words[:1] != (NAME,):
             raise TriggerError(f"{self._link.url}: this is {' '.join(said.words)!r}, not a {NAME}: correct the port")
@@ -371,7 +371,9 @@ class TriggerBox(PortTrigger):
                 raise _Refused(f"{self._link.url}: the trigger box refuses {command!r}: {' '.join(words[1:])}")
             if number == "?":
                 raise _Lost(f"{self._link.url}: the trigger box could not read {command!r}: look at its cable")
-        raise _Lost(f"{self._link.url}: the trigger box does not answer {command!r}{heard}: is it still on?", heard)
+        raise _Lost(
+            f"{self._link.url}: the trigger box does not answer {command!r}{heard}: check its power and cable", heard
+        )
 
 
 def open_box(settings: TriggerSettings) -> TriggerBox:

@@ -50,7 +50,7 @@ ERRORS = {
     120: "the value is not a whole number",
     121: "the number is too large",
     126: "the command is misspelled",
-    170: "the line garbles characters: is the baud rate right?",
+    170: "the line garbles characters: check the baud rate",
     171: "characters came too fast",
     254: "more errors than it can remember",
 }

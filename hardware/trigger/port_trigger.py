@@ -86,8 +86,8 @@ def open_port(settings: TriggerSettings, usual: tuple[int, ...], terminator: byt
         link.close()
     tried = ", ".join(map(str, bauds))
     raise TriggerError(
-        f"{settings.port}: nothing answers at {tried} baud: is the instrument on, its cable in, this its remote "
-        "interface, and trigger.driver right?"
+        f"{settings.port}: nothing answers at {tried} baud: check the instrument's power, cable and remote "
+        "interface, and trigger.driver"
     )
 
 

@@ -20,10 +20,11 @@ from hardware.protocols import FrameFormat
 from hardware.rig import Burst, Rejected, Rig
 from pipeline.acquisition.live import LiveDecoder
 from pipeline.calibration import Calibration
-from pipeline.errors import CalibrationError, OutputError, SettingsError
+from pipeline.errors import OutputError, SettingsError
 from pipeline.files import LEFTOVER, explain, write_atomically
 from pipeline.footage.zarr_recording import MOST_FRAMES_A_SECOND
 from pipeline.limits import read_plain
+from pipeline.models import SensorPart
 from pipeline.recording.recorder import Recorder
 from pipeline.settings import DecodeSettings
 from tikernels.raw.pixel_format import PixelFormat
@@ -133,12 +134,8 @@ class CaptureFolder:
         self._note: str | None = None
         limits = rig.camera.limits
         format = pixel_format(limits.format)
-        if calibration is not None and calibration.camera is not None and calibration.camera.size_px != limits.size_px:
-            here, there = ("{}x{}".format(*size_px) for size_px in (limits.size_px, calibration.camera.size_px))
-            raise CalibrationError(
-                f"the camera's frames are {here} but the calibration is for {there}: set camera.size_px, calibrate "
-                "anew, or leave calibration away"
-            )
+        if calibration is not None:
+            calibration = calibration.as_read_out(limits.size_px, SensorPart.of(limits), "the camera's frame")
         (shape,) = format.plane_shapes(*limits.size_px[::-1])
         n_kept = max(self._frames_a_burst, round((plan.keep_last_s or 0.0) / self._period_s))
         _check_memory(n_kept * int(np.prod(shape)) * np.dtype(format.dtype).itemsize)
@@ -173,7 +170,9 @@ class CaptureFolder:
                 measured = calibration.capture.transfer
                 transfer = measured if isinstance(measured, str) else None
             rate_hz = min(Fraction(1 / rig.train.period_s).limit_denominator(10**6), Fraction(MOST_FRAMES_A_SECOND))
-            self._recorder = Recorder(self.recording, format, transfer=transfer, rate_hz=rate_hz)
+            self._recorder = Recorder(
+                self.recording, format, transfer=transfer, rate_hz=rate_hz, sensor=SensorPart.of(limits)
+            )
             self._live = None
             if plan.live:
                 self._live = LiveDecoder(decoding, calibration, format, limits.size_px, folder / PREVIEW, plan.arch)

@@ -20,7 +20,7 @@ from pipeline.acquisition.rig_faults import LIT, RigProbe, rms, shares
 from pipeline.acquisition.studio import Guidance, Studio
 from pipeline.calibration.board import Board
 from pipeline.calibration.board_poses import measure_pose
-from pipeline.calibration.captures import CapturedFolder, captured_files
+from pipeline.calibration.captures import SENSOR, SESSION, CapturedFolder, captured_files
 from pipeline.calibration.multishot import BLACK, WHITE, multishot_codes, multishot_sequence
 from pipeline.calibration.pose_guide import BentBoardError, PoseGuide
 from pipeline.calibration.radiometry import radiometry_codes, radiometry_sequence
@@ -30,7 +30,7 @@ from pipeline.limits import read_text
 from pipeline.models import FloatArray, ImageArray
 
 #: The folders of the captures.
-LIGHT, POSES, SESSION = "light", "poses", "session.json"
+LIGHT, POSES = "light", "poses"
 # How often a picture is taken, and a pose or the light from the start, before it is given up.
 _TRIES = 3
 # Two frames of one picture differ by their noise; by this many times as much where the picture was changing.
@@ -124,7 +124,10 @@ class GuidedCapture:
         for fault in self._probe.faults():
             raise CalibrationError(fault.words)
         # A camera that is cropped or binned since then takes other frames.
-        _continue_session(self._folder, {"size of frames": "{}x{}".format(*self.camera_px)})
+        frames: dict[str, Any] = {"size of frames": "{}x{}".format(*self.camera_px)}
+        if self._studio.sensor is not None:
+            frames[SENSOR] = self._studio.sensor.model_dump(mode="json")
+        _continue_session(self._folder, frames)
 
     @property
     def camera_px(self) -> tuple[int, int]:

@@ -195,8 +195,8 @@ class RigProbe:
             return None
         return RigFault(
             "flicker",
-            f"white flickers by {self.variation:.1%} from frame to frame: the exposure is no whole number of the "
-            "projector's cycles (1/60 s or 1/50 s, or the colour wheel's), or the camera's exposure is automatic",
+            f"white flickers by {self.variation:.1%} from frame to frame: colorphase expose finds whether the "
+            "exposure, light of the room or an automatic of the camera does it",
             RAD_PER_PART * self.variation,
         )
 

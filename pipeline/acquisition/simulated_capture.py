@@ -161,7 +161,9 @@ def render_elsewhere(task: SceneTask, step: Callable[[str], None]) -> Scene:
             while isinstance(message := process.receive(), str):
                 step(message)
     except ChildDied:
-        raise RenderError("the process that renders the simulated frames has died: is memory short?") from None
+        raise RenderError(
+            "the process that renders the simulated frames has died: the system's log may say why"
+        ) from None
     return cast(Scene, message)
 
 

@@ -18,7 +18,7 @@ from pipeline.acquisition.studio import FRAMES, Guidance
 from pipeline.calibration import Calibration
 from pipeline.calibration.board import Board
 from pipeline.calibration.simulated_board import BoardView, CaptureLight
-from pipeline.models import FloatArray, ImageArray
+from pipeline.models import FloatArray, ImageArray, SensorPart
 from pipeline.simulation import TYPICAL_CROSSTALK, simulated_truth
 
 #: The camera's frames.
@@ -137,6 +137,11 @@ class SimulatedStudio:
     def exposures_s(self) -> tuple[float, float]:
         """Shortest and longest exposure; see `Studio`."""
         return _SHORTEST_S, FRAME_S
+
+    @property
+    def sensor(self) -> SensorPart | None:
+        """The part of the sensor; see `Studio`."""
+        return None
 
     @property
     def is_mosaic(self) -> bool:

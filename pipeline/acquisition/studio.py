@@ -18,7 +18,7 @@ from hardware.rig import Rig
 from hardware.settings import RigSettings
 from pipeline.acquisition.capture_folder import pixel_format
 from pipeline.files import write_atomically
-from pipeline.models import FloatArray, ImageArray
+from pipeline.models import FloatArray, ImageArray, SensorPart
 from tikernels import runtime
 from tikernels.raw.development import develop
 from tikernels.raw.linearization import WHITE_LEVELS
@@ -56,6 +56,10 @@ class Studio(Protocol):
     @property
     def is_mosaic(self) -> bool:
         """True where frames are developed from a Bayer mosaic."""
+
+    @property
+    def sensor(self) -> SensorPart | None:
+        """The part of the camera's sensor that frames are; None: it is not known."""
 
     def set_camera(self, exposure_s: float, gain_db: float) -> float:
         """Set exposure and gain, and return the exposure as read back; the camera starts afresh."""
@@ -149,6 +153,11 @@ class RigStudio:
     def is_mosaic(self) -> bool:
         """True where frames are developed from a mosaic; see `Studio`."""
         return self._rig.camera.limits.format.layout == "bayer"
+
+    @property
+    def sensor(self) -> SensorPart | None:
+        """The part of the camera's sensor that frames are; see `Studio`."""
+        return SensorPart.of(self._rig.camera.limits)
 
     def set_camera(self, exposure_s: float, gain_db: float) -> float:
         """Set exposure and gain; see `Studio`.

@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -64,7 +65,8 @@ def cluster_executor(job: Job, address: str) -> Iterator[Executor]:
 class _ClusterExecutor:
     def __init__(self, client: Any, job: Job, run: str) -> None:
         self.n_workers = max(1, len(client.ncores()))
-        self._client, self._job, self._run = client, job, run
+        # Other machines may have copies, whose times differ.
+        self._client, self._job, self._run = client, replace(job, stamps=()), run
         self._pool = client.get_executor(pure=False)
         self._alone_since_s: float | None = None
 

@@ -151,7 +151,7 @@ class _Place:
                 except ChildDied:
                     self._let_go(in_peace=False)
             raise ClusterError(
-                f"{_MOST_DEATHS} processes died over the same frames: look for memory, or decode with --workers 1"
+                f"{_MOST_DEATHS} processes died over the same frames: see the system's log, or decode with --workers 1"
             )
         except BaseException:
             self._let_go(in_peace=False)

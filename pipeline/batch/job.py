@@ -1,6 +1,8 @@
 """What is to be decoded and how: all that a process needs in order to do some of it, the same everywhere."""
 
 import hashlib
+import math
+import os
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -18,6 +20,7 @@ from pipeline.errors import DecodeWarning, FootageError, SettingsError
 from pipeline.footage.image_folder import ImageFolder
 from pipeline.footage.opening import frame_times, open_source
 from pipeline.footage.source import Source, StoredAs, StoredFrame
+from pipeline.limits import BYTES_A_PIXEL, max_pixels
 from pipeline.models import ImageArray
 from pipeline.output.folder import file_digest
 from pipeline.output.store import ResultStore, camera_attribute, frame_bytes, result_attributes
@@ -32,6 +35,8 @@ from tikernels.raw.pixel_format import PixelFormat
 CHAIN_FRAMES = 64
 # Frames, evenly spaced, that are asked for the light before it counts as unknown, and which side is in front.
 _MOST_ASKED, _ASKED_FOR_SIDE = 64, 16
+# The digest of a file that cannot be read, or may be another one by now.
+_UNKNOWN = bytes(16)
 
 
 @dataclass(frozen=True)
@@ -105,6 +110,7 @@ class Job:
     arch: str
     listed: tuple[str, ...] | None = None  # names of a folder's pictures; None: all that are there
     digests: tuple[bytes, ...] = ()  # of each frame's file, or of the one that holds all
+    stamps: tuple[tuple[int, ...], ...] = ()  # of the same files, before they were read; (): they are not watched
 
     def open(self) -> Source:
         """Open the footage.
@@ -115,8 +121,7 @@ class Job:
             It cannot be read, or the calibration or the region of interest does not fit it.
         """
         source = open_source(self.footage, listed=self.listed, **vars(self.says))
-        if self.calibration is not None and self.calibration.has_geometry:
-            self.calibration.geometry().check_frame(source.size_px, source.name)
+        self._calibration_of(source)
         if self.crop is not None:
             self.crop.check(source.size_px, source.format)
         return source
@@ -128,14 +133,29 @@ class Job:
     def pinned(self, source: Source) -> "Job":
         """Return the same for the footage as it is now: which pictures, what they hold, and how light is encoded.
 
-        All of it is read. The light is the footage's word where nobody knows better.
+        All of it is read. The light is the footage's word where nobody knows better; the calibration is that of the
+        part of the sensor that frames are.
         """
+        files = source.files()
+        most_bytes = BYTES_A_PIXEL * max_pixels() if len(files) > 1 else math.inf  # a longer picture is bad
         return replace(
             self,
+            calibration=self._calibration_of(source),
             settings=with_transfer_of(source, self.settings, self.calibration)[0],
             listed=tuple(source.names) if isinstance(source, ImageFolder) else None,
-            digests=tuple(map(_digest, source.files())),
+            stamps=tuple(map(_stamp, files)),
+            digests=tuple(_digest(file, most_bytes) for file in files),
         )
+
+    def pins(self, number: int, files: Sequence[Path]) -> bool:
+        """Return whether a frame's file, of the footage's files, is surely the one that was pinned."""
+        place = min(number, len(files) - 1)
+        return not self.stamps or _stamp(files[place]) == self.stamps[place]
+
+    def without(self, number: int) -> "Job":
+        """Return the same for footage of which it is not known what a frame is: what leans on it is decoded again."""
+        place = min(number, len(self.digests) - 1)
+        return replace(self, digests=(*self.digests[:place], _UNKNOWN, *self.digests[place + 1 :]))
 
     def made_of(self, number: int) -> str:
         """Return a digest of what a frame is decoded from: its file, and those before it in its chain."""
@@ -194,6 +214,12 @@ class Job:
     def decoder(self) -> Decoder:
         """Return a decoder of such frames."""
         return Decoder(self.settings, self._calibration_of_part(), arch=self.arch)
+
+    def _calibration_of(self, source: Source) -> Calibration | None:
+        """Return the calibration of the footage's whole frames; see `Calibration.as_read_out`."""
+        if self.calibration is None:
+            return None
+        return self.calibration.as_read_out(source.size_px, source.sensor, source.name)
 
     def _calibration_of_part(self) -> Calibration | None:
         """Return the calibration of what is decoded of a frame."""
@@ -310,6 +336,16 @@ def _fingerprint(source: Source) -> str | None:
     return None
 
 
-def _digest(path: Path) -> bytes:
+def _digest(path: Path, most_bytes: float) -> bytes:
     """Return a digest of a file, of 16 bytes; of one that cannot be read, whose frame is bad, zeros."""
-    return bytes.fromhex(file_digest(path) or "00" * 16)[:16]
+    digest = file_digest(path, most_bytes)
+    return _UNKNOWN if digest is None else bytes.fromhex(digest)[:16]
+
+
+def _stamp(path: Path) -> tuple[int, ...]:
+    """Return what changes when a file does, even where its time is set back; nothing of one that is not there."""
+    try:
+        about = os.stat(path)
+    except OSError:
+        return ()
+    return about.st_size, about.st_mtime_ns, about.st_ctime_ns

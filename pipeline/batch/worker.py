@@ -60,6 +60,7 @@ class Worker:
     def __init__(self, job: Job) -> None:
         self._job = job
         self._source = job.open()
+        self._files = self._source.files()
         self._store = job.open_store(self._source)
         self._decoder = job.decoder()
         self._decoder.use_code(self._store.says.code)
@@ -132,8 +133,13 @@ class Worker:
     def _decode(
         self, stored: StoredFrame | BadFrame, previous: DecodedFrame | None, out: DecodedFrame | None
     ) -> DecodedFrame:
+        is_pinned = self._job.pins(stored.number, self._files)
+        if not is_pinned:
+            self._job = self._job.without(stored.number)
         if isinstance(stored, BadFrame):
             raise FootageError(stored.reason)
+        if not is_pinned:
+            raise FootageError("its file has changed since this run began: run again")
         image = self._job.develop(stored, self._image)
         return self._decoder.decode(image, previous, out)
 

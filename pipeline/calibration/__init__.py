@@ -5,15 +5,8 @@ from typing import TYPE_CHECKING
 from tikernels.lazy_names import lazily
 
 if TYPE_CHECKING:
-    from pipeline.calibration.model import (
-        Calibration,
-        CodeName,
-        ColorShift,
-        Geometry,
-        Lens,
-        Pattern,
-        Uncertainty,
-    )
+    from pipeline.calibration.lens import Lens
+    from pipeline.calibration.model import Calibration, CodeName, ColorShift, Geometry, Pattern, Uncertainty
 
 __all__ = ["Calibration", "CodeName", "ColorShift", "Geometry", "Lens", "Pattern", "Uncertainty"]
 __getattr__, __dir__ = lazily(__name__)

@@ -21,7 +21,7 @@ from pipeline.calibration.board import Board
 from pipeline.calibration.multishot import ProjectorMap, decode_multishot, fringe_groups, multishot_sequence
 from pipeline.calibration.picture_matching import find_poses
 from pipeline.errors import CalibrationError
-from pipeline.models import FloatArray, ImageArray
+from pipeline.models import FloatArray, ImageArray, SensorPart
 from pipeline.robust import robust_sigma
 
 # Within this part of a square's side about a corner there are its edges, and no others.
@@ -297,6 +297,7 @@ class MeasuredPoses:
     poses: list[BoardPose]
     refused: tuple[str, ...]  # why others could not, a sentence each
     camera_size_px: tuple[int, int]
+    sensor: SensorPart | None = None  # the part of the camera's that all captures are; None: not known of all
 
 
 def measure_poses(
@@ -333,11 +334,15 @@ def measure_poses(
     poses: list[BoardPose] = []
     refused: list[str] = []
     camera_px = None
+    parts: set[SensorPart | None] = set()
     for name, captures in find_poses(place, sequence):
         height, width = captures[sequence.names[0]].shape[:2]
         if camera_px is not None and camera_px != (width, height):
             raise CalibrationError(f"{name} is {width}x{height}, the poses before are {camera_px[0]}x{camera_px[1]}")
         camera_px = (width, height)
+        parts.add(captures.sensor)
+        if len(parts - {None}) > 1:
+            raise CalibrationError(f"{name} shows another part of the sensor than the poses before: leave it out")
         try:
             # Read once and in order, as videos are read fastest.
             poses.append(measure_pose(name, dict(captures), board, projector_size_px, white_level))
@@ -346,4 +351,4 @@ def measure_poses(
     if camera_px is None or len(poses) < least:
         reason = refused[0] if refused else f"{place} holds {len(poses)}"
         raise CalibrationError(f"{len(poses)} usable poses, at least {least} are needed: {reason}")
-    return MeasuredPoses(poses, tuple(refused), camera_px)
+    return MeasuredPoses(poses, tuple(refused), camera_px, parts.pop() if len(parts) == 1 else None)

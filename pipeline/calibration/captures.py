@@ -1,23 +1,28 @@
 """Pictures to project, one after another, and the captures of them under the same names."""
 
+import json
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import cv2
 import numpy as np
 import numpy.typing as npt
+from pydantic import RootModel
 
 from pipeline.errors import CalibrationError, OutputError
 from pipeline.files import explain
-from pipeline.footage.image_file import read_image
-from pipeline.models import ImageArray, Model
+from pipeline.footage.image_file import read_turned
+from pipeline.footage.picture_tags import other_orientation
+from pipeline.models import ImageArray, Model, SensorPart, build, read_file
 from tikernels.raw.linearization import WHITE_LEVELS
 
 #: What a sequence is called in its folder.
 SEQUENCE_FILE = "sequence.json"
+#: What a guided capture says of itself in its folder, and the key of the part of the sensor that its pictures are.
+SESSION, SENSOR = "session.json", "part of the sensor"
 _SUFFIXES = (".png", ".tif", ".tiff")
 # Full scales, levels, of cameras whose 10, 12 or 14 bits come in 16-bit files.
 _PART_SCALES = (2**10 - 1, 2**12 - 1, 2**14 - 1)
@@ -102,16 +107,26 @@ def captured_files(folder: Path) -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*")) if path.suffix.lower() in _SUFFIXES}
 
 
+def _sensor_of(folder: Path) -> SensorPart | None:
+    """Return the part of the sensor that the captures in a folder are, where their session says so."""
+    # Those of a pose lie in a folder of all poses.
+    for file in (folder.parent / SESSION, folder.parent.parent / SESSION):
+        if file.exists():
+            said = read_file(file, RootModel[dict[str, Any]], json.loads, CalibrationError).root.get(SENSOR)
+            return None if said is None else build(SensorPart, said, CalibrationError, f"{file}: {SENSOR}")
+    return None
+
+
 class CapturedFolder(Mapping[str, ImageArray]):
     """The captures in a folder by their names, each read on demand."""
 
-    def __init__(self, folder: Path, names: tuple[str, ...]) -> None:
-        """Look for the files.
+    def __init__(self, folder: Path, names: tuple[str, ...], orientations: list[int] | None = None) -> None:
+        """Look for the files; `orientations` are those of the same camera's captures in other folders, added to here.
 
         Raises
         ------
         CalibrationError
-            A file is missing.
+            A file is missing, or the session that they are of cannot be read.
         """
         found = captured_files(folder)
         missing = [name for name in names if name not in found]
@@ -122,6 +137,8 @@ class CapturedFolder(Mapping[str, ImageArray]):
                 "the sequence"
             )
         self._paths = {name: found[name] for name in names}
+        self.sensor = _sensor_of(folder)
+        self._orientations: list[int] = [] if orientations is None else orientations
         self._shape: tuple[tuple[int, ...], str] | None = None
 
     def __getitem__(self, name: str) -> ImageArray:
@@ -130,11 +147,14 @@ class CapturedFolder(Mapping[str, ImageArray]):
         Raises
         ------
         CalibrationError
-            It has another size or type than the one before.
+            It has another size, type or orientation than the one before.
         FootageError
             It cannot be read.
         """
-        image = read_image(self._paths[name])
+        image, orientation = read_turned(self._paths[name])
+        self._orientations.append(orientation)
+        if (turned_otherwise := other_orientation(orientation, self._orientations[0])) is not None:
+            raise CalibrationError(f"{self._paths[name]}: {turned_otherwise}")
         shape = (image.shape, image.dtype.name)
         if self._shape is not None and shape != self._shape:
             raise CalibrationError(

@@ -12,7 +12,8 @@ import cv2
 import numpy as np
 
 from pipeline.calibration.bundle_adjustment import BundleAdjustment
-from pipeline.calibration.model import Geometry, Lens
+from pipeline.calibration.lens import Lens
+from pipeline.calibration.model import Geometry
 from pipeline.calibration.radiometry import PRIMARIES, RAMP_CODES, Radiometry
 from pipeline.calibration.rig_geometry import GeometryFit
 from pipeline.files import write_atomically

@@ -9,12 +9,12 @@ from typing import Annotated, Any, Literal
 import cv2
 import numpy as np
 import numpy.typing as npt
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 
-from pipeline.causes import Cause
-from pipeline.errors import CalibrationError, FootageError, OutputError, SettingsError
+from pipeline.calibration.lens import Lens
+from pipeline.causes import Cause, Key
+from pipeline.errors import CalibrationError, OutputError, SettingsError
 from pipeline.files import write_atomically
-from pipeline.limits import check_size
 from pipeline.models import (
     LARGEST,
     ArrayOf,
@@ -24,6 +24,7 @@ from pipeline.models import (
     Model,
     NonNegative,
     Positive,
+    SensorPart,
     Vector3,
     build,
     read_file,
@@ -34,27 +35,6 @@ from tikernels.depth.triangulation import ProjectorGeometry
 Vector9 = Annotated[FloatArray, ArrayOf((9,))]
 Shift = Annotated[FloatArray, ArrayOf((3, 2))]
 Response = Annotated[FloatArray, ArrayOf((3, 256))]
-# Lengths of OpenCV's lists: radial and tangential, k3, the rational model, thin prisms, a tilted sensor.
-_COEFFICIENTS = (4, 5, 8, 12, 14)
-
-
-def _padded(value: Any) -> Any:
-    if isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim == 1):
-        if len(value) not in _COEFFICIENTS:
-            raise ValueError(f"must have 4, 5, 8, 12 or 14 numbers, in OpenCV's order, got {len(value)}")
-        return [*value, *[0.0] * (14 - len(value))]
-    return value
-
-
-def _shortest(coefficients: FloatArray) -> FloatArray:
-    return coefficients if coefficients[5:].any() else coefficients[:5]
-
-
-#: 5 or 14 numbers, whatever the file's list is. Long lenses see a tenth of their distance to either side, the sixth
-# power of which k3 counts with.
-Distortion = Annotated[FloatArray, ArrayOf((14,), 1e4), BeforeValidator(_padded), AfterValidator(_shortest)]
-
-
 #: Crosstalk worse than this cannot be undone: noise grows by it.
 MAX_CONDITION = 100.0
 #: What is taken where nobody has named a projector or a pattern: width and height in px, and px per cycle: 44 cycles
@@ -65,81 +45,6 @@ DEFAULT_PERIOD_PX = 768 / 44
 #: What proves the scale of a geometry, in addition to the side of the board's squares.
 ScaleProof = Literal["baseline", "second board"]
 _GEOMETRY = ("camera", "projector", "rotation", "translation_mm", "pattern")
-# No picture format that is read has longer sides.
-_Side = Annotated[int, Field(gt=0, lt=2**20)]
-
-
-class Lens(Model):
-    """A pinhole with distortion, for the camera as for the projector (OpenCV's model)."""
-
-    size_px: tuple[_Side, _Side]  # width, height
-    matrix: Matrix3  # px
-    distortion: Distortion = Field(default_factory=lambda: np.zeros(5))  # OpenCV's order: k1 k2 p1 p2 k3 [...]
-
-    @model_validator(mode="after")
-    def _check(self) -> "Lens":
-        try:
-            check_size("the lens", *self.size_px)
-        except FootageError as error:
-            raise ValueError(str(error)) from None
-        m = self.matrix
-        if m[0, 0] <= 0 or m[1, 1] <= 0 or np.any(m[[0, 1, 2, 2], [1, 0, 0, 1]] != 0) or m[2, 2] != 1:
-            raise ValueError("matrix must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with positive focal lengths")
-        return self
-
-    def rays(self, shift_px: npt.NDArray[np.float64] | None = None) -> npt.NDArray[np.float32]:
-        """Return where every pixel looks, lens distortion taken out.
-
-        Parameters
-        ----------
-        shift_px : (2,), optional
-            Lateral colour: x, y by which a channel lands off its place.
-
-        Returns
-        -------
-        (H, W, 2) float32
-            x and y of each ray at unit depth.
-
-        Raises
-        ------
-        CalibrationError
-            A ray has no direction, so the lens is none.
-        """
-        width, height = self.size_px
-        rays = np.empty((height, width, 2), np.float32)
-        row = np.column_stack([np.arange(width, dtype=np.float64), np.zeros(width)])
-        for y in range(height):  # so that nothing but the rays is as large as the picture
-            row[:, 1] = y
-            rays[y] = self.rays_through(row if shift_px is None else row - shift_px)
-        return rays
-
-    def rays_through(self, places_px: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Return where places in the picture look, lens distortion taken out.
-
-        Parameters
-        ----------
-        places_px : (N, 2)
-            x, y, px.
-
-        Returns
-        -------
-        (N, 2) float64
-            x and y of each ray at unit depth.
-
-        Raises
-        ------
-        CalibrationError
-            A ray has no direction, so the lens is none.
-        """
-        straight_px = places_px
-        if self.distortion.any():
-            # OpenCV 4 and 5 take the end of this function's iteration alike, and that of undistortPoints differently.
-            end = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-10)
-            straight_px = cv2.undistortImagePoints(places_px[:, None], self.matrix, self.distortion, None, end)[:, 0]
-        rays = (straight_px - self.matrix[:2, 2]) * (1 / self.matrix[[0, 1], [0, 1]])
-        if not np.abs(rays).max() < LARGEST:
-            raise CalibrationError("no lens bends light like this one: its matrix or distortion is wrong, recalibrate")
-        return np.asarray(rays, np.float64)
 
 
 CodeName = Literal["contrast", "contrast2"]
@@ -238,15 +143,15 @@ class Geometry:
         smaller, larger = np.divide(there, here), np.divide(here, there)
         factors = "{:.0f}x{:.0f}".format(*np.maximum(smaller, larger))
         convert = "convert the calibration: colorphase calibrate import"
-        causes = (
+        causes: tuple[tuple[Key, bool, str], ...] = (
             ("on its side", here == there[::-1], "turn it as the camera stood at calibration"),
             ("swapped", here == self.projector.size_px, "that is the projector's size: if the two are swapped in the "
              "calibration, calibrate geometry again"),
-            ("binned", (smaller % 1 == 0).all(), f"its sides are {factors} times smaller: if the camera bins, "
+            ("binned", bool((smaller % 1 == 0).all()), f"its sides are {factors} times smaller: if the camera bins, "
              f"{convert} --binning {factors}; if it shows a part of its sensor, --region"),
-            ("calibrated binned", (larger % 1 == 0).all(), f"its sides are {factors} times larger: set the binning and "
-             "resolution of the calibration"),
-            ("cropped", (smaller >= 1).all(), f"if the camera shows a part of its sensor, {convert} --region; a "
+            ("calibrated binned", bool((larger % 1 == 0).all()), f"its sides are {factors} times larger: set the "
+             "binning and resolution of the calibration"),
+            ("cropped", bool((smaller >= 1).all()), f"if the camera shows a part of its sensor, {convert} --region; a "
              "picture that was cut or scaled afterwards is of no use: cut by --roi"),
             ("another camera", True, "set the camera's resolution as at calibration, or calibrate it as it is now"),
         )  # fmt: skip
@@ -288,6 +193,7 @@ class Calibration(Model):
     wavelengths_nm: Matrix3 | None = None  # where camera channel i (row) sees primary j
     color_shift_px: ColorShift | None = None
     depth_range_mm: tuple[Positive, Positive] | None = None
+    sensor: SensorPart | None = None  # the part of the camera's that its frames are; None: not known
     capture: CameraState | None = None
     uncertainty: Uncertainty | None = None
     scale_proof: ScaleProof | None = None  # None: all lengths are as wrong as the squares' side
@@ -357,7 +263,11 @@ class Calibration(Model):
         # The lens stays: its distortion counts from the axis, which moves in the image.
         matrix = self.camera.matrix - [[0, 0, x], [0, 0, y], [0, 0, 0]]
         camera = self.camera.model_copy(update={"size_px": size_px, "matrix": matrix})
-        return self.model_copy(update={"camera": camera})
+        sensor = self.sensor
+        if sensor is not None:
+            (left, above), (across, down) = sensor.offset_px, sensor.binning
+            sensor = sensor.model_copy(update={"offset_px": (left + across * x, above + down * y)})
+        return self.model_copy(update={"camera": camera, "sensor": sensor})
 
     def binned(self, across: int, down: int) -> "Calibration":
         """Return the calibration of the same rig whose camera joins so many columns and rows to one.
@@ -378,8 +288,51 @@ class Calibration(Model):
         uncertainty = self.uncertainty
         if uncertainty is not None:  # without what is in px of the whole frame
             uncertainty = uncertainty.model_copy(update={"camera": None, "reprojection_px": None})
-        update = {"camera": Lens.model_validate(lens), "color_shift_px": shift, "uncertainty": uncertainty}
-        return self.model_copy(update=update)
+        sensor = self.sensor
+        if sensor is not None:
+            sensor = sensor.model_copy(update={"binning": (across * sensor.binning[0], down * sensor.binning[1])})
+        changed = {"color_shift_px": shift, "uncertainty": uncertainty, "sensor": sensor}
+        return self.model_copy(update={"camera": Lens.model_validate(lens), **changed})
+
+    def as_read_out(self, size_px: tuple[int, int], sensor: SensorPart | None, what: str = "frame") -> "Calibration":
+        """Return the calibration of the same rig for frames of its camera, which may be cropped or binned since.
+
+        Parameters
+        ----------
+        size_px : (width, height)
+            The frames'.
+        sensor : SensorPart, optional
+            The part of the sensor that they are. Where it or the calibration's is not known, only sizes are compared.
+        what : str
+            What messages call them.
+
+        Raises
+        ------
+        CalibrationError
+            They are of another size or sensor, or show what was not calibrated.
+        """
+        lens, before = self.camera, self.sensor
+        if lens is None:
+            return self
+        if sensor is None or before is None:
+            self.geometry().check_frame(size_px, what)
+            return self
+        if (size_px, sensor) == (lens.size_px, before):
+            return self
+        key: Key = "another sensor"
+        cause = "calibrate that camera"
+        if sensor.sensor_px == before.sensor_px:
+            first = np.subtract(sensor.offset_px, before.offset_px) / before.binning
+            factor = np.divide(sensor.binning, before.binning)
+            whole = not (first % 1).any() and not (factor % 1).any()
+            if whole and (first >= 0).all() and (first + factor * size_px <= lens.size_px).all():
+                width, height = (int(side) for side in factor * size_px)
+                return self.cropped(int(first[0]), int(first[1]), (width, height)).binned(*map(int, factor))
+            key, cause = "not calibrated", "set it as at calibration, or calibrate all of the sensor without binning"
+        here, there = (
+            "{}x{} on a sensor of {}".format(*size, part) for size, part in ((size_px, sensor), (lens.size_px, before))
+        )
+        raise CalibrationError(Cause(key, f"{what} is {here}, but the calibration is for {there}: {cause}"))
 
     @classmethod
     def read(cls, path: str | Path) -> "Calibration":

@@ -154,7 +154,8 @@ def decode_multishot(
         position[..., k], shift[..., k] = _decode_axis(captures, axis, size_px, full, where)
     known = ~np.isnan(position).any(axis=-1)
     if np.count_nonzero(known) < 1000:
-        raise CalibrationError(f"{where}: hardly a pixel sees the fringes: focus, and point the projector at the board")
+        seen = f"only {np.count_nonzero(known)} px see the fringes"
+        raise CalibrationError(f"{where}: {seen}: look whether every capture shows its picture, sharp, on the board")
     position[~known], shift[:, ~known] = np.nan, np.nan
     return ProjectorMap(position, shift, white.astype(np.float64) / full)
 
@@ -173,7 +174,10 @@ def _decode_axis(
     amplitude = np.abs(seen) * white / full
     best = float(np.percentile(amplitude, 99))
     if best < _MIN_CONTRAST * np.percentile(white, 99) / full:
-        raise CalibrationError(f"{where}: the fringes are washed out: focus camera and projector on the board")
+        raise CalibrationError(
+            f"{where}: the fringes have at most {best * full / np.percentile(white, 99):.0%} of white's light: focus "
+            "camera and projector on the board, and keep the order of the sequence"
+        )
     valid = amplitude > max(_MIN_AMPLITUDE * best, 3 * _MIN_LEVELS / 255)
     if not valid.any():
         return np.full(valid.shape, np.nan), np.zeros((3, *valid.shape))

@@ -59,7 +59,7 @@ class CapturedFrames(Mapping[str, ImageArray]):
     """
 
     def __init__(self, source: Source, numbers: dict[str, int]) -> None:
-        self._source, self.numbers = source, numbers
+        self._source, self.numbers, self.sensor = source, numbers, source.sensor
 
     def __getitem__(self, name: str) -> ImageArray:
         """Read one capture, (H, W, 3) RGB.
@@ -80,7 +80,13 @@ class CapturedFrames(Mapping[str, ImageArray]):
         return len(self.numbers)
 
 
-def find_captures(place: Path, sequence: PictureSequence) -> list[tuple[str, Mapping[str, ImageArray]]]:
+#: Captures by their names.
+Captures = CapturedFolder | CapturedFrames
+
+
+def find_captures(
+    place: Path, sequence: PictureSequence, orientations: list[int] | None = None
+) -> list[tuple[str, Captures]]:
     """Find the captures of a sequence, under its names or in order of time.
 
     Parameters
@@ -89,6 +95,8 @@ def find_captures(place: Path, sequence: PictureSequence) -> list[tuple[str, Map
         A folder of pictures, a recording, a folder with one, or a video.
     sequence : PictureSequence
         What was projected.
+    orientations : list of int, optional
+        See `CapturedFolder`.
 
     Returns
     -------
@@ -103,7 +111,7 @@ def find_captures(place: Path, sequence: PictureSequence) -> list[tuple[str, Map
         It cannot be read.
     """
     if place.is_dir() and captured_files(place).keys() & set(sequence.names):
-        return [(place.name, CapturedFolder(place, sequence.names))]
+        return [(place.name, CapturedFolder(place, sequence.names, orientations))]
     try:
         source = open_source(place / _RECORDING if (place / _RECORDING).is_dir() else place)
     except FootageError as error:
@@ -113,14 +121,14 @@ def find_captures(place: Path, sequence: PictureSequence) -> list[tuple[str, Map
     found = match_pictures(source, sequence)
     if len(found) == 1:
         return [(place.name, found[0])]
-    named: list[tuple[str, Mapping[str, ImageArray]]] = []
+    named: list[tuple[str, Captures]] = []
     for number, captures in enumerate(found, start=1):
         first, last = min(captures.numbers.values()), max(captures.numbers.values())
         named.append((f"pose {number} of {place.name} (frames {first} to {last})", captures))
     return named
 
 
-def find_poses(place: Path, sequence: PictureSequence) -> Iterator[tuple[str, Mapping[str, ImageArray]]]:
+def find_poses(place: Path, sequence: PictureSequence) -> Iterator[tuple[str, Captures]]:
     """Yield the captures of every pose with its name; see `find_captures`.
 
     Parameters
@@ -135,8 +143,9 @@ def find_poses(place: Path, sequence: PictureSequence) -> Iterator[tuple[str, Ma
         # A name that begins with a dot is a pose that is not complete.
         there = [entry for entry in place.iterdir() if not entry.name.startswith(".")]
         entries = [entry for entry in there if entry.is_dir() or entry.suffix.lower() in _VIDEOS]
+    orientations: list[int] = []
     for entry in sorted(entries, key=lambda entry: natural_key(entry.name)) or [place]:
-        yield from find_captures(entry, sequence)
+        yield from find_captures(entry, sequence, orientations)
 
 
 def match_pictures(source: Source, sequence: PictureSequence) -> list[CapturedFrames]:
@@ -158,7 +167,7 @@ def match_pictures(source: Source, sequence: PictureSequence) -> list[CapturedFr
             reason = reason or str(error)
     if not best:
         damaged = len(source) - len(numbers)
-        frames = f"{len(numbers)} frames" + (f", {damaged} more are damaged" if damaged else "")
+        frames = f"{len(numbers)} frames" + (f", {damaged} more cannot be used: {changes.bad}" if damaged else "")
         raise CalibrationError(f"{source.name} ({frames}): {reason}")
     return [_named(source, sequence, group) for group in best]
 

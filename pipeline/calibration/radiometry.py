@@ -127,8 +127,8 @@ def measure_radiometry(
     additivity = _not_additive(ramps)
     if additivity > _MAX_NOT_ADDITIVE:
         raise CalibrationError(
-            f"grey differs from red + green + blue by {additivity:.1%} of white: a colour mode, a white segment or a "
-            "dynamic iris is on; switch it off (or the camera's transfer is not the one named)"
+            f"grey differs from red + green + blue by {additivity:.1%} of white: switch off the projector's colour "
+            "mode, white segment and dynamic iris; if none is on, the camera's transfer is not the one named"
         )
     factors = _factorise(ramps)
     if np.linalg.cond(factors[0]) > MAX_CONDITION:

@@ -17,11 +17,12 @@ import numpy as np
 
 from pipeline.calibration.board_poses import MIN_POSES, BoardPose
 from pipeline.calibration.bundle_adjustment import BundleAdjustment
-from pipeline.calibration.model import Calibration, ColorShift, Lens, Pattern, ScaleProof, Uncertainty
+from pipeline.calibration.lens import Lens
+from pipeline.calibration.model import Calibration, ColorShift, Pattern, ScaleProof, Uncertainty
 from pipeline.calibration.verdict import GeometryVerdict, corners_off, depth_bias_mm, judge_geometry, pose_causes
 from pipeline.causes import Cause
 from pipeline.errors import CalibrationError
-from pipeline.models import FloatArray
+from pipeline.models import FloatArray, SensorPart
 
 # A measured baseline that differs from the user's by a greater part shows a wrong square size: by hand, from lens to
 # lens, it is known to some millimetres in two hundred.
@@ -215,6 +216,7 @@ def solve_geometry(
     base: Calibration | None = None,
     baseline_mm: float | None = None,
     second: SecondBoard | None = None,
+    sensor: SensorPart | None = None,
 ) -> GeometryFit:
     """Calibrate both lenses and where they stand.
 
@@ -232,6 +234,8 @@ def solve_geometry(
         The distance between camera and projector where it is known: a wrong square size shows in it.
     second : SecondBoard, optional
         Poses of a board of other squares: it shows in these, too.
+    sensor : SensorPart, optional
+        The part of the camera's sensor that the captures are, where it is known.
 
     Raises
     ------
@@ -248,7 +252,7 @@ def solve_geometry(
     calibration = _calibration(fit, camera_size_px, projector_size_px, pattern, base, proof)
     # An earlier calibration's lateral colour goes with its lenses.
     shift = _color_shift(fit.poses, calibration.crosstalk_matrix)
-    calibration = calibration.model_copy(update={"color_shift_px": shift})
+    calibration = calibration.model_copy(update={"color_shift_px": shift, "sensor": sensor})
     return GeometryFit(
         calibration=calibration,
         poses=tuple(pose.name for pose in fit.poses),

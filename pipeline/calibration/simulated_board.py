@@ -12,7 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.calibration.board import Board
-from pipeline.calibration.model import Calibration, Geometry, Lens
+from pipeline.calibration.lens import Lens
+from pipeline.calibration.model import Calibration, Geometry
 from pipeline.models import FloatArray
 
 FloatImage = npt.NDArray[np.float32]

@@ -48,6 +48,7 @@ class Changes:
     numbers: list[int]
     sizes: FloatArray  # (frames, 2) of what differs from one and from two frames before, over its noise; inf: no frame
     variance: FloatArray  # (scales, grey levels) of what noise makes differ
+    bad: str | None = None  # why the first frame that cannot be used cannot
 
 
 @dataclass(frozen=True)
@@ -102,6 +103,7 @@ def measure_changes(source: Source) -> Changes:
     """
     numbers: list[int] = []
     squares: list[FloatArray] = []
+    bad: str | None = None
     seen: deque[list[FloatImage]] = deque(maxlen=2)
     for stored in source.frames():
         if isinstance(stored, StoredFrame):
@@ -111,11 +113,13 @@ def measure_changes(source: Source) -> Changes:
             squares.append(np.stack([*found, nothing, nothing][:2]).astype(np.float32))
             numbers.append(stored.number)
             seen.append(samples)
+        else:
+            bad = bad or stored.reason
     if not numbers:
         raise CalibrationError(f"{source.name} holds no frame that can be read: copy it again")
     both = np.stack(squares)
     variance = _noise_variance(both[:, 0])
-    return Changes(numbers, _times_noise(both, variance), variance)
+    return Changes(numbers, _times_noise(both, variance), variance, bad)
 
 
 def find_stills(source: Source, changes: Changes) -> list[list[Still]]:

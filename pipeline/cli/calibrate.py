@@ -271,7 +271,8 @@ def geometry(
         seen = measure_poses(second_board, other, size_px, white_level, least=1)
         refused += seen.refused
         second = SecondBoard(seen.poses, second_square_mm, described.square_mm)
-    found = solve_geometry(measured.poses, measured.camera_size_px, size_px, pattern, known, baseline_mm, second)
+    sizes = measured.camera_size_px, size_px
+    found = solve_geometry(measured.poses, *sizes, pattern, known, baseline_mm, second, measured.sensor)
     found.calibration.write(target, force=force)
     _show_geometry(found)
     _say_verdict(found, refused)

@@ -3,6 +3,7 @@
 import os
 import signal
 import sys
+from contextlib import suppress
 
 from pipeline import __version__
 
@@ -13,12 +14,15 @@ def main() -> None:
     Meanwhile nothing is open and nothing is written, and Ctrl-C ends the program without a word: raised as an exception
     it would be lost in some of the libraries that are imported, or end in a traceback.
     """
+    _fill_closed_streams()
     if sys.argv[1:] == ["--version"]:
         try:
             print(__version__, flush=True)
         except OSError as error:
             os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what is left would be written at the end
-            sys.exit(f"error: cannot write to standard output: {error.strerror}")
+            with suppress(OSError):  # past Python's buffer, which would be written at the end, too
+                os.write(2, f"error: cannot write to standard output: {error.strerror}\n".encode())
+            sys.exit(1)
         return
     before = signal.signal(signal.SIGINT, signal.SIG_DFL)
     for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"):
@@ -27,3 +31,19 @@ def main() -> None:
 
     signal.signal(signal.SIGINT, before)
     command_line()
+
+
+def _fill_closed_streams() -> None:
+    """Open nothing in place of a standard stream that is closed: else the next file that is opened would be it.
+
+    It can be read, and is at its end; writing fails, as it does where a disk is full.
+    """
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_RDONLY), number)
+            os.set_inheritable(number, True)
+            stream = open(number, "w" if number else "r", closefd=False)
+            for place in (name, f"__{name}__"):
+                setattr(sys, place, stream)

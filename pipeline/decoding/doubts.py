@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.causes import Cause
+from pipeline.causes import Cause, Key
 from pipeline.decoding.frame_reader import LinearFrame
 from pipeline.decoding.surface_search import NoModelFits
 from tikernels import runtime
@@ -22,6 +22,13 @@ CODE_SHOWN = Cause(
 )
 # Below this contrast, blur may have turned the fringe over; a sharp pattern in as much other light has a third.
 _MIN_CONTRAST = 0.12
+#: A code needs more: a simulated bust keeps all its orders at .73, and loses a fifth to a third of them at .53.
+CODE_CONTRAST = 0.65
+_LOWERED = (
+    "the fringe's contrast is only {:.0%}, and the frame does not show whether other light, blur, a wrong transfer or "
+    "colours of a lower resolution take it: colorphase inspect looks at the file, and a frame under black shows the "
+    "other light"
+)
 #: A fringe that differs by more from what the crosstalk makes is more than the leaks of a good calibration are off by.
 MAX_MISMATCH = 0.12
 # A share of the surface that is lost unnoticed at edges.
@@ -42,7 +49,7 @@ _CLIPPED_LIT = 0.1
 # that are not this much worse than those that fit best.
 _MOST_READ, _MISMATCH, _WORSE = 0.5, 0.02, 3.0
 # What a frame is that fits the calibration when it is changed so.
-_REVERSED = {
+_REVERSED: dict[Key, str] = {
     "turned over": "turned over it fits: the camera's or the projector's picture is upside down or mirrored; turn it",
     "colours swapped": "its colours are stored in the order B, G, R, and exchanged they fit: exchange red and blue",
 }
@@ -72,11 +79,12 @@ def fringe_doubt(frame: LinearFrame, stripes: str, clipped: float) -> Cause:
         words = f"no {stripes} fringe stands out, but a {other} one does: set stripes to {other!r} (--stripes {other})"
         return Cause("other stripes", words)
     badly = _badly_exposed(runtime.to_host(frame.image), frame.white, clipped)
-    key, cause = badly or ("no fringe", "its exposure is right: check that the pattern is projected and in focus")
+    words = "exposure and direction are right, and no fringe is too fine: look whether it shows the pattern, and sharp"
+    key, cause = badly or ("no fringe", words)
     return Cause(key, f"no fringe stands out of this frame: {cause}")
 
 
-def _badly_exposed(image: npt.NDArray[Any], white: float, clipped: float) -> tuple[str, str] | None:
+def _badly_exposed(image: npt.NDArray[Any], white: float, clipped: float) -> tuple[Key, str] | None:
     """Return the key and words of a frame that is over- or under-exposed; None: it is neither."""
     share = float((image.max(axis=2) >= clipped).mean())
     brightest = float(np.quantile(image, _BRIGHTEST)) / white
@@ -95,7 +103,7 @@ class Changed(NamedTuple):
     mismatch: float | None  # how far its colours are from what the crosstalk makes of them, as a fraction
 
 
-def reversed_doubt(changed: dict[str, Changed]) -> Cause:
+def reversed_doubt(changed: dict[Key, Changed]) -> Cause:
     """Say why a frame's phase runs against the calibrated rig's, by what became of it when it was changed."""
     least = min((found.mismatch for found in changed.values() if found.mismatch is not None), default=0.0)
     most = min(MAX_MISMATCH, _MISMATCH + _WORSE * least)
@@ -104,6 +112,7 @@ def reversed_doubt(changed: dict[str, Changed]) -> Cause:
         for key, found in changed.items()
         if (found.read is None or found.read > _MOST_READ) and (found.mismatch is None or found.mismatch < most)
     ]
+    key: Key
     if len(fits) == 1:
         key, words = fits[0], _REVERSED[fits[0]]
     else:
@@ -112,8 +121,8 @@ def reversed_doubt(changed: dict[str, Changed]) -> Cause:
     return Cause(key, f"the phase runs against the calibrated rig's, so that no depth can be told: {words}")
 
 
-def few_pixels_doubt(frame: LinearFrame, levels: FrameLevels, n_measured: int) -> Cause | None:
-    """Say what a frame with a fringe lacks of which next to nothing was measured; None: enough was."""
+def few_pixels_doubt(frame: LinearFrame, levels: FrameLevels, contrast: float, n_measured: int) -> Cause | None:
+    """Say what a frame with a fringe of some contrast lacks if next to nothing was measured; None: enough was."""
     height, width = frame.shape
     if n_measured >= _FEW * height * width:
         return None
@@ -121,10 +130,14 @@ def few_pixels_doubt(frame: LinearFrame, levels: FrameLevels, n_measured: int) -
     lit = int((image.sum(axis=2, dtype=np.float64) >= 3 * levels.intensity).sum())
     if 0 < n_measured and n_measured >= _MOST_OF_LIT * lit:  # a small thing before a black curtain
         return None
-    key, cause = _badly_exposed(image, frame.white, levels.clipped) or (
+    weak: tuple[Key, str] = (
         "weak fringe",
-        "elsewhere the fringe is too weak: focus both lenses, shut out other light, or project a longer period",
+        f"too little of a fringe stands out of the noise, {levels.noise / frame.white:.1%} of full scale; the exposure "
+        f"is right, and the fringe's contrast is {contrast:.0%}: light more by the pattern, or lower the gain",
     )
+    if contrast < _MIN_CONTRAST:
+        weak = "low contrast", _LOWERED.format(contrast)
+    key, cause = _badly_exposed(image, frame.white, levels.clipped) or weak
     share = "nothing" if n_measured == 0 else f"only {n_measured / (height * width):.1%}"
     return Cause(key, f"{share} of this frame could be measured: {cause}")
 
@@ -144,6 +157,16 @@ def repeated_chroma_doubt(repeated: RepeatedChroma) -> Cause:
         "was interpolated instead, which leaves more error than the video itself: decode that, or record its planes"
     )
     return Cause("repeated-chroma", words)
+
+
+def folded_lens_doubt(n_blind: int, shape: tuple[int, int]) -> Cause:
+    """Say how many pixels of a frame have no ray."""
+    share = n_blind / (shape[0] * shape[1])
+    words = (
+        f"{n_blind} pixels ({share:.1%}) are left out, for which the calibration has no ray: its lens folds before it "
+        "reaches them; calibrate with the board in the picture's corners, too"
+    )
+    return Cause("folded lens", words)
 
 
 def finest_fringe(light: LevelsImage) -> float | None:
@@ -168,6 +191,7 @@ def light_doubts(
     mm_per_rad: Callable[[], float | None],
     *,
     constant_known: bool,
+    code_lost: bool = False,
 ) -> tuple[Cause, ...]:
     """Say where the light is not as decoding assumes.
 
@@ -185,25 +209,25 @@ def light_doubts(
         Returns what a radian is in depth; None without a calibration.
     constant_known : bool
         Whether the crosstalk is known, so that a mismatch means that it has changed.
+    code_lost : bool
+        Whether the pattern's code could not be read everywhere.
     """
-    doubts = {}
-    if contrast < _MIN_CONTRAST:
-        doubts["low contrast"] = (
-            f"the fringe's contrast is only {contrast:.0%}: less motion blur, a sharper focus or less other "
-            "light would make it certain"
-        )
+    doubts: dict[Key, str] = {}
+    if contrast < (CODE_CONTRAST if code_lost else _MIN_CONTRAST):
+        doubts["low contrast"] = _LOWERED.format(contrast)
     if constant_known and mismatch > MAX_MISMATCH:
         doubts["other crosstalk"] = (
             f"the colours' fringes differ by {mismatch:.0%} from what the crosstalk matrix makes of them, and phases "
-            f"may be off by as much, {_in_depth(mismatch, mm_per_rad)}: colorphase calibrate check says what is wrong"
+            f"may be off by as much, {_in_depth(mismatch, mm_per_rad)}: colorphase inspect looks at the file, "
+            "calibrate check at the rig"
         )
     elif odd is not None:
         excluded = "it is not the crosstalk; " if constant_known else ""
         doubts["odd colours"] = (
             f"no matrix explains the colours of {odd.share:.0%} of the surface, {odd.color} above all, where phases "
             f"may be off by some {_in_depth(odd.phase_rad, mm_per_rad)}. The frame does not tell why: {excluded}other "
-            "light, paint that fluoresces, light that scatters, too fine a print and another response than the "
-            "calibrated one (which colorphase calibrate check would show) look like this"
+            "light, paint that fluoresces, light that scatters, colours of a lower resolution, too fine a print "
+            "and another response than the calibrated one (which colorphase calibrate check would show) look like this"
         )
     if too_fast > _MAX_TOO_FAST:
         doubts["too fast"] = (

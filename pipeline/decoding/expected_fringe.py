@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.calibration import Geometry
-from pipeline.causes import Cause
+from pipeline.causes import Cause, Key
 from pipeline.models import FloatArray
 
 # Places in the camera's picture along either side, and depths from which the bounds come; more change nothing.
@@ -64,16 +64,19 @@ class ExpectedFringe:
         """Whether a frame's usual change from row to row (rad per px) has the other sign than this rig's."""
         return rate_rad * self.possible[0] < 0
 
-    def contradiction(self, rate_rad: float) -> Cause | None:
-        """Say why the size of a frame's usual change from row to row is none of this rig's; None: it may be."""
-        return self._beyond(self.possible, rate_rad, "impossible period", "no depth can be told")
+    def contradiction(self, rate_rad: float, period_px: float) -> Cause | None:
+        """Say why a frame's usual change from row to row and its period are none of this rig's; None: they may be."""
+        return self._beyond(self.possible, rate_rad, period_px, "impossible period", "no depth can be told")
 
-    def surprise(self, rate_rad: float) -> Cause | None:
+    def surprise(self, rate_rad: float, period_px: float) -> Cause | None:
         """Say that a usual surface of this rig shows another period; None: it shows this one."""
-        return self._beyond(self.usual, rate_rad, "unusual period", "depths are wrong, unless the surface is steep")
+        words = "depths are wrong, unless the surface is steep"
+        return self._beyond(self.usual, rate_rad, period_px, "unusual period", words)
 
-    def _beyond(self, bounds: Bounds, rate_rad: float, key: str, what: str) -> Cause | None:
-        if rate_rad == 0 or bounds[0] <= rate_rad <= bounds[1]:
+    def _beyond(self, bounds: Bounds, rate_rad: float, period_px: float, key: Key, what: str) -> Cause | None:
+        # Noise and blur bend the changes from row to row of a weak fringe, and not the period that its frame has.
+        both = rate_rad, float(np.copysign(2 * np.pi / period_px, rate_rad))
+        if rate_rad == 0 or any(bounds[0] <= rate <= bounds[1] for rate in both):
             return None
         seen, *ends = (2 * np.pi / abs(rate) for rate in (rate_rad, *bounds))
         sizes = (

@@ -58,13 +58,15 @@ class CameraRays:
 
     rays: F32  # (H, W, 2) x and y at unit depth, stripes along the rows
     projector: ProjectorGeometry
+    n_blind: int  # pixels without a ray, which is NaN: their lens folds
 
     @classmethod
     def of(cls, geometry: Geometry, stripes: str) -> "CameraRays":
         """Return those of a calibrated rig, on the device."""
         rays = geometry.camera.rays()
         along_rows = np.ascontiguousarray(rays.transpose(1, 0, 2)) if stripes == "vertical" else rays
-        return cls(runtime.to_device(along_rows), geometry.for_triangulation())
+        blind = int(np.count_nonzero(np.isnan(rays[..., 0])))
+        return cls(runtime.to_device(along_rows), geometry.for_triangulation(), blind)
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.calibration import Calibration
-from pipeline.causes import Cause
+from pipeline.causes import Cause, Key
 from pipeline.contrast_code import ContrastCode
 from pipeline.decoding.self_calibration import LightEstimate
 from pipeline.decoding.surface_finding import SurfaceFinder
@@ -186,9 +186,10 @@ def _transfer(settings: DecodeSettings, calibration: Calibration) -> Transfer:
     chosen: Transfer = settings.transfer or "linear"
     if before.transfer is not None and settings.transfer is None:
         chosen = before.transfer
+    names: tuple[Key, ...] = ("exposure_s", "gain", "white_balance")
     differ = [
         (name, getattr(before, name), getattr(now, name))
-        for name in ("exposure_s", "gain", "white_balance")
+        for name in names
         if getattr(before, name) is not None and getattr(now, name) is not None
         if not np.allclose(getattr(before, name), getattr(now, name), rtol=1e-3)
     ]

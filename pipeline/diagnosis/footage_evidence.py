@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from pipeline.causes import Cause
 from pipeline.decoder import Decoder
 from pipeline.decoding.doubts import finest_fringe
 from pipeline.decoding.frame import DecodedFrame
@@ -74,6 +75,7 @@ class InspectedFrame:
     frame: DecodedFrame | None  # None: no fringes
     settings: DecodeSettings
     repeated: RepeatedChroma | None = None  # how its colours were repeated, which is undone
+    warnings: tuple[Cause, ...] = ()
 
     @property
     def period_px(self) -> float:
@@ -90,7 +92,8 @@ def inspect_frame(stored: StoredFrame, decoder: Decoder, settings: DecodeSetting
         levels = undo_repeated_chroma(levels, white, repeated)
     encoded, light = as_light(levels, settings)
     frame = decoder.decode(light)
-    return InspectedFrame(stored.number, encoded, light, frame if frame.mask.any() else None, settings, repeated)
+    shown = frame if frame.mask.any() else None
+    return InspectedFrame(stored.number, encoded, light, shown, settings, repeated, frame.warnings)
 
 
 def as_light(image: LevelsImage, settings: DecodeSettings) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
@@ -297,7 +300,7 @@ class FootageEvidence:
     settings: DecodeSettings  # as given, with the container's transfer, and the stripes' true direction
     n_frames: int = 0
     bad: list[BadFrame] = field(default_factory=list)
-    no_fringes: list[int] = field(default_factory=list)
+    no_fringes: dict[int, str] = field(default_factory=dict)  # frames without fringes, and what decoding says of them
     kept: list[KeptFrame] = field(default_factory=list)  # the first with fringes of every run
     qualities: list[FrameQuality] = field(default_factory=list)
     motion_rad: list[float] = field(default_factory=list)  # of pairs of neighbours, 95th percentile
@@ -379,7 +382,7 @@ class _Gatherer:
                 self._compare(before, (stored, inspected))
             before = (stored, inspected)
             if inspected.frame is None:
-                self.seen.no_fringes.append(stored.number)
+                self.seen.no_fringes[stored.number] = next(iter(inspected.warnings), "")
                 continue
             self.seen.qualities.append(measure_quality(inspected, inspected.frame, bits_of(self._source)))
             if first or follow:

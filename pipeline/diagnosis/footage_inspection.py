@@ -170,7 +170,7 @@ def container_findings(facts: ContainerFacts, source: Source) -> Iterator[Footag
             "dropped",
             f"{facts.missing} frames are missing in {places}",
             0.0,
-            "the others are as good as ever, but what moves jumps there: record to a faster disk or at a lower rate",
+            "the others are as good as ever, but what moves jumps there; the file does not say why they are missing",
             grade="costs",
         )
 
@@ -192,13 +192,13 @@ def frame_findings(seen: FootageEvidence, facts: ContainerFacts, given: DecodeSe
         yield _finding(
             "fringes",
             "none in this frame" if n_good == 1 else f"none in {n_good} frames",
-            advice="check that the pattern is projected, in focus and not over-exposed",
+            advice=next(iter(seen.no_fringes.values()), ""),
             grade="spoils",
         )
     elif seen.no_fringes:
         yield _finding(
             "fringes",
-            f"none in {len(seen.no_fringes)} of {n_good} frames, as in frame {seen.no_fringes[0]}",
+            f"none in {len(seen.no_fringes)} of {n_good} frames, as in frame {next(iter(seen.no_fringes))}",
             advice="leave such frames out (--start, --stop)",
             grade="costs",
         )
@@ -229,7 +229,7 @@ def fringe_findings(seen: FootageEvidence, typical: FrameQuality) -> Iterator[Fo
         "contrast",
         found,
         typical.limit_rad,
-        "less other light, a sharper focus, less motion blur",
+        "a frame under black shows the other light; where there is little, focus and expose shorter",
         grade="fine" if not faint else "spoils" if spoils else "costs",
     )
     yield _finding(

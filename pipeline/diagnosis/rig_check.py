@@ -15,6 +15,7 @@ import numpy.typing as npt
 from pipeline.calibration.captures import CapturedFolder, captured_files
 from pipeline.calibration.model import Calibration, Geometry
 from pipeline.calibration.multishot import WHITE, decode_multishot, multishot_sequence
+from pipeline.causes import Cause
 from pipeline.decoder import Decoder
 from pipeline.decoding.frame import DecodedFrame
 from pipeline.decoding.self_calibration import estimate_light
@@ -147,9 +148,8 @@ def check_surface(
     best = fits[0]
     coarse, distance = float(np.sqrt(np.mean(best.coarse**2))), float(np.linalg.norm(best.position))
     if coarse > _OTHER_SHAPE * distance:
-        raise CalibrationError(
-            f"the surface is {coarse:.1f} mm from the nearest {shape}: show one alone; if it is one, calibrate again"
-        )
+        off = f"the surface is {coarse:.1f} mm from the nearest {shape}, more than a rig gets out of adjustment"
+        raise CalibrationError(Cause("other shape", f"{off}: show a {shape} alone"))
     bias = _predicted_bias(calibration)
     noise = float(np.sqrt(np.mean(best.sigma**2)))
     name = "flatness" if shape == "plane" else "sphericity"
@@ -283,13 +283,12 @@ def check_epipolar(
 
     def measure(as_if: Geometry) -> Measure:
         error = epipolar_error_px(as_if, np.argwhere(known)[:, ::-1].astype(np.float64), seen.position_px[known])
-        return Measure("epipolar error", float(np.median(np.abs(error))), predicted, "px")
+        return Measure("epipolar error", float(np.nanmedian(np.abs(error))), predicted, "px")
 
     found = measure(geometry)
     if not found.fine and measure(_swapped(geometry)).fine:
-        raise CalibrationError(
-            f"{where} fit the calibration with camera and projector swapped in it: calibrate geometry again"
-        )
+        words = f"{where} fit the calibration with camera and projector swapped in it: calibrate geometry again"
+        raise CalibrationError(Cause("swapped", words))
     return CheckResult((found,), None, None, BLIND_SPOTS["epipolar"])
 
 
@@ -299,7 +298,7 @@ def _swapped(geometry: Geometry) -> Geometry:
 
 
 def epipolar_error_px(geometry: Geometry, camera_px: FloatArray, projector_px: FloatArray) -> FloatArray:
-    """Return the distances of projector pixels from the epipolar lines of camera pixels, (N,) projector px.
+    """Return the distances of projector pixels from the epipolar lines of camera pixels, (N,) px; NaN: no ray.
 
     Parameters
     ----------
@@ -379,7 +378,10 @@ def holds_captures(folder: Path) -> bool:
 def check_captures(folder: Path, calibration: Calibration, settings: DecodeSettings) -> CheckResult:
     """Measure the epipolar error from captures of anything that holds still; see `check_epipolar`."""
     names = multishot_sequence(calibration.geometry().projector.size_px).names
-    return check_epipolar(CapturedFolder(folder, names), calibration, str(folder), settings.white_level)
+    captures = CapturedFolder(folder, names)
+    height, width = captures[names[0]].shape[:2]
+    known = calibration.as_read_out((width, height), captures.sensor, str(folder))
+    return check_epipolar(captures, known, str(folder), settings.white_level)
 
 
 @dataclass(frozen=True)
@@ -442,11 +444,11 @@ def check_picture(
     ((image, frame),) = reader.frames()
     if not frame.mask.any():
         return None
-    surface = None if shape is None else check_surface(frame, calibration, shape, radius_mm)
-    shift = calibration.color_shift_px
+    surface = None if shape is None else check_surface(frame, reader.calibration, shape, radius_mm)
+    shift = reader.calibration.color_shift_px
     light = image if shift is None else runtime.to_host(align_channels(image, shift.camera))
     white = settings.white_level or WHITE_LEVELS[image.dtype.name]
-    known = KnownLight.of(settings, calibration, reader.code)
+    known = KnownLight.of(settings, reader.calibration, reader.code)
     found = diagnose(light, white, frame.unwrapped_phase, frame.mask, known, reader.transfer, frame.absolute)
     return PictureCheck(surface, found, calibration, reader.transfer, light, white, frame)
 
@@ -474,7 +476,7 @@ def check_sequence(
         light.append(runtime.to_host(linearize(image, reader.transfer, settings.white_level)))
         phases.append(frame.unwrapped_phase)
         masks.append(frame.mask)
-    place = calibration.geometry() if calibration.has_geometry else None
+    place = reader.calibration.geometry() if calibration.has_geometry else None
     return len(source), diagnose_sequence(light, 1.0, phases, masks, place, calibration.crosstalk_matrix)
 
 
@@ -482,8 +484,7 @@ class _Reader:
     """Reads frames and decodes them; what the settings leave open, the calibration says."""
 
     def __init__(self, source: Source, calibration: Calibration, settings: DecodeSettings, arch: str) -> None:
-        if calibration.has_geometry:
-            calibration.geometry().check_frame(source.size_px, source.name)
+        self.calibration = calibration = calibration.as_read_out(source.size_px, source.sensor, source.name)
         if calibration.pattern is not None and "stripes" not in settings.model_fields_set:
             settings = settings.model_copy(update={"stripes": calibration.pattern.stripes})
         at_calibration = None if calibration.capture is None else calibration.capture.transfer

@@ -217,16 +217,20 @@ def read_image(path: str | Path) -> ImageArray:
         The file cannot be read, is truncated, is no image, or has no three colours, or these are HEIC's of half the
         resolution.
     """
-    path = Path(path)
+    return read_turned(Path(path))[0]
+
+
+def read_turned(path: Path) -> tuple[ImageArray, int]:
+    """Return an image file as `read_image` does, and the orientation (Exif) by which it was turned."""
     data = read_picture(path)
     if is_heic(data[:12]):
         with _named(path):
-            planes, format, _ = read_heic(data)
+            planes, format, tags = read_heic(data)
         if format.layout != "rgb":
             raise FootageError(
                 f"{path}: its colours have half the resolution: open_source and develop interpolate them"
             )
-        return planes[0]
+        return planes[0], tags.orientation
     if (unfit := unfit_colors(data)) is not None:
         raise FootageError(f"{path}: {unfit}")
     image = decode_levels(path, data)
@@ -236,8 +240,8 @@ def read_image(path: str | Path) -> ImageArray:
         raise FootageError(f"{path} has {image.shape[2]} channels: save it without transparency")
     if (bits := stored_bits(data)) is not None:  # full scale is that of their type
         image = image << (8 * image.itemsize - bits)
-    upright_image = upright(image[..., ::-1], read_tags(data).orientation)
-    return cast(ImageArray, np.ascontiguousarray(upright_image))
+    orientation = read_tags(data).orientation
+    return cast(ImageArray, np.ascontiguousarray(upright(image[..., ::-1], orientation))), orientation
 
 
 class PlaneDecoder:

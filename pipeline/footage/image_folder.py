@@ -18,6 +18,7 @@ from pipeline.footage.picture_tags import (
     TRANSPARENT,
     PictureTags,
     is_transparent,
+    other_orientation,
     picture_end,
     plane_codec,
     read_tags,
@@ -27,7 +28,7 @@ from pipeline.footage.picture_tags import (
 from pipeline.footage.source import GREY, BadFrame, Frames, StoredAs, StoredFrame, other_than_first, turned
 from pipeline.footage.tiff_file import TIFF_MARKS, Tag, read_directory, select_page
 from pipeline.limits import open_plain
-from pipeline.models import ImageArray
+from pipeline.models import ImageArray, SensorPart
 from tikernels.errors import ShapeError
 from tikernels.raw.pixel_format import FLOAT_BITS, PixelFormat
 
@@ -35,7 +36,7 @@ from tikernels.raw.pixel_format import FLOAT_BITS, PixelFormat
 IMAGE_SUFFIXES = tuple(".png .tif .tiff .bmp .ppm .pgm .pnm .webp .heic .heif .jpg .jpeg .jpe".split())
 _DIGITS = re.compile(r"(\d+)")
 # Full scale of most cameras with more than 8 bits, levels.
-_TWELVE_BITS = 2**12 - 1
+_PART_SCALES = tuple(2**bits - 1 for bits in range(9, 16))
 
 
 def natural_key(name: str) -> tuple[list[int | str], str]:
@@ -71,6 +72,7 @@ class ImageFolder:
         self, name: str, folder: Path, names: Sequence[str], says: StoredAs, stack: "_Stack | None" = None
     ) -> None:
         self.name = name
+        self.sensor: SensorPart | None = None
         self._folder = folder
         self.names = names
         self._says = says
@@ -172,9 +174,14 @@ class ImageFolder:
         if data[:4] in TIFF_MARKS and (fewer := read_directory(data).first(Tag.BITS, 1)) in range(9, 16):
             bits, shift = fewer, 16 - fewer  # OpenCV shifts them up
         bits = stored_bits(data) or bits
-        if bits == 16 and self._says.bits is None and image.max(initial=0) <= _TWELVE_BITS:
-            note = f"none of its levels, of 16 bits, is above {_TWELVE_BITS}: if the camera gives 12, add --bits 12"
-            tags = replace(tags, notes=(*tags.notes, note))
+        if bits == 16 and self._says.bits is None:
+            # TIFF's largest level is no full scale, but a camera's own of fewer bits is seldom anything else.
+            most = read_directory(data).first(Tag.MOST, 0) if data[:4] in TIFF_MARKS else 0
+            fewer = most.bit_length() if most in _PART_SCALES else 12
+            if image.max(initial=0) < 2**fewer:
+                words = "none of its levels, of 16 bits, is above"
+                note = f"{words} {2**fewer - 1}: if the camera gives {fewer}, add --bits {fewer}"
+                tags = replace(tags, notes=(*tags.notes, note))
         if image.ndim == 2:
             if self._says.bayer is None:
                 raise FootageError(GREY)
@@ -235,11 +242,8 @@ def is_footage(path: Path) -> bool:
 
 def _other_tags(tags: PictureTags, first: PictureTags) -> str | None:
     """Say how a picture's file describes it otherwise than the first; None: alike."""
-    if tags.orientation != first.orientation:
-        return (
-            f"its Exif orientation is {tags.orientation}, the first has {first.orientation}: cameras guess it where "
-            "they look down; give all the same one, or remove it from all"
-        )
+    if (turned_otherwise := other_orientation(tags.orientation, first.orientation)) is not None:
+        return turned_otherwise
     if tags.transfer != first.transfer:
         return (
             f"its light is {tags.transfer or 'linear'} ({tags.because}), the first is {first.transfer or 'linear'} "

@@ -44,6 +44,8 @@ _SUBSAMPLING = ((1, 1), (2, 1), (1, 2), (2, 2), (4, 1))
 _ALONE, _BEGIN, _END, _APP1, _APP2 = 0x01, 0xD8, 0xD9, 0xE1, 0xE2
 # In coded data FF is followed by 0, or by the number of a restart.
 _MARKER = re.compile(rb"\xff+[\x01-\xcf\xd8-\xfe]")
+# Of XMP, as an attribute or as an element.
+_XMP_ORIENTATION = re.compile(rb"tiff:Orientation\s*(?:=\s*[\"']|>)\s*([1-8])\b")
 _BLANK = rb"(?:\s|#[^\r\n]*[\r\n])+"
 # Kind, width, height and, but for black and white, the highest level.
 _PNM = re.compile(rb"P(?:[14]|([2356]))" + 2 * (_BLANK + rb"(\d{1,9})") + rb"(?(1)" + _BLANK + rb"(\d{1,9}))\s")
@@ -71,7 +73,7 @@ class PictureTags:
     """How a picture is to be turned, and how its light is encoded."""
 
     orientation: int = 1
-    """Of Exif, 1 to 8: see `upright`."""
+    """Of Exif, or else of XMP, 1 to 8: see `upright`."""
     transfer: str | None = None
     """"linear", "srgb" or "bt709"; None: nothing tells."""
     because: str = "nothing in the file says otherwise"
@@ -150,7 +152,7 @@ def read_tags(data: bytes) -> PictureTags:
     elif data.startswith(PNG):
         parts = _png_parts(data)
     elif data[:4] in TIFF_MARKS:
-        parts = iter([("tiff", data)])
+        parts = _tiff_parts(data)
     elif data.startswith(b"BM"):
         parts = _bmp_parts(data)
     elif _is_webp(data):
@@ -158,12 +160,16 @@ def read_tags(data: bytes) -> PictureTags:
         parts = _webp_parts(data)
     else:
         return tags
+    tags = replace(tags, orientation=0)
+    of_xmp = 1
     # Damaged curves are nonsense, which is no news.
     with suppress(*_ODD), np.errstate(all="ignore"):
         for kind, content in parts:
+            if kind == "xmp" and (found := _XMP_ORIENTATION.search(content)) is not None:
+                of_xmp = int(found[1])
             with suppress(*_ODD):
                 tags = _after(tags, kind, content)
-    return tags
+    return replace(tags, orientation=tags.orientation or of_xmp)
 
 
 def with_colors(tags: PictureTags, profile: bytes | None, transfer_code: int | None) -> PictureTags:
@@ -193,6 +199,16 @@ def upright(image: npt.NDArray[np.generic], orientation: int) -> npt.NDArray[np.
     down = -1 if orientation in (3, 4, 7, 8) else 1
     right = -1 if orientation in (2, 3, 6, 7) else 1
     return image[::down, ::right]
+
+
+def other_orientation(here: int, first: int) -> str | None:
+    """Say that a picture of one camera is turned otherwise than its first; None: alike."""
+    if here == first:
+        return None
+    return (
+        f"its Exif orientation is {here}, the first has {first}: cameras guess it where they look down; give all the "
+        "same one, or remove it from all"
+    )
 
 
 def unfit_colors(data: bytes) -> str | None:
@@ -256,7 +272,7 @@ def _after(tags: PictureTags, kind: str, content: bytes) -> PictureTags:
     """Return the tags with what one part of the file says."""
     if kind in ("exif", "tiff"):
         page = read_directory(content)
-        orientation = page.first(Tag.ORIENTATION, 1)
+        orientation = page.first(Tag.ORIENTATION, 0)
         if 1 <= orientation <= 8:
             tags = replace(tags, orientation=orientation)
         if Tag.PROFILE in page.values:
@@ -346,6 +362,8 @@ def _jpeg_parts(data: bytes) -> Iterator[tuple[str, bytes]]:
         content = data[begin:end]
         if kind == _APP1 and content.startswith(b"Exif\0\0"):
             yield "exif", content[6:]
+        elif kind == _APP1 and content.startswith(b"http://ns.adobe.com/xap/1.0/\0"):
+            yield "xmp", content
         elif kind == _APP2 and content.startswith(b"ICC_PROFILE\0"):
             profile += content[14:]  # of several parts, in their order
         elif kind == _APP2 and content.startswith(b"MPF\0"):
@@ -370,6 +388,8 @@ def _png_parts(data: bytes) -> Iterator[tuple[str, bytes]]:
     found: dict[bytes, bytes] = {}
     for kind, begin, end in png_chunks(data):
         found.setdefault(kind, data[begin : end - 4])
+        if kind == b"iTXt" and data[begin:end].startswith(b"XML:com.adobe.xmp\0"):
+            yield "xmp", data[begin:end]
     names = {b"eXIf": "exif", b"gAMA": "gamma", b"sRGB": "srgb", b"iCCP": "profile", b"cICP": "cicp"}
     for kind, name in names.items():
         if kind in found:
@@ -392,8 +412,15 @@ def _webp_parts(data: bytes) -> Iterator[tuple[str, bytes]]:
     for kind, begin, end in _webp_chunks(data):
         if kind == b"EXIF":
             yield "exif", data[begin:end].removeprefix(b"Exif\0\0")
+        elif kind == b"XMP ":
+            yield "xmp", data[begin:end]
         elif kind == b"ICCP":
             yield "profile", data[begin:end]
+
+
+def _tiff_parts(data: bytes) -> Iterator[tuple[str, bytes]]:
+    yield "tiff", data
+    yield "xmp", read_directory(data).values.get(Tag.XMP, np.zeros(0, np.uint8)).tobytes()
 
 
 def _bmp_parts(data: bytes) -> Iterator[tuple[str, bytes]]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.errors import FootageError
 from pipeline.footage.picture_tags import upright
-from pipeline.models import ImageArray
+from pipeline.models import ImageArray, SensorPart
 from tikernels.raw.pixel_format import SITES, Bayer, Matrix, PixelFormat, Siting
 
 #: Why grey footage cannot be decoded.
@@ -59,6 +59,10 @@ class Source(Protocol):
     @property
     def transfer_because(self) -> str:
         """What tells the transfer, or that nothing does."""
+
+    @property
+    def sensor(self) -> SensorPart | None:
+        """The part of the camera's sensor that frames are; None: the footage does not say."""
 
     @property
     def notes(self) -> tuple[str, ...]:

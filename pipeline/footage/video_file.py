@@ -1,10 +1,10 @@
 """Frames from a video file, in the planes that its codec stored, by numbers that do not depend on its clock."""
 
+import json
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from itertools import islice
 from pathlib import Path
 from typing import Any, Literal
@@ -14,6 +14,7 @@ from pipeline.footage.ffmpeg_frames import caught_messages, orientation_of, stor
 from pipeline.footage.source import BadFrame, Frames, StoredAs, StoredFrame, other_than_first, turned
 from pipeline.footage.zarr_recording import RecordingTags, rate_of
 from pipeline.limits import check_size, ffmpeg_limits
+from pipeline.models import SensorPart, build
 from tikernels.raw.pixel_format import PixelFormat
 
 # A file counts as unreadable when its first frames are damaged, this many of them: ten seconds of most footage.
@@ -22,8 +23,8 @@ _MISSING = "it is missing from the file, or cannot be decoded"
 # An AVI file's index names the head of a coded frame, its reader what comes behind.
 _AVI_HEAD_BYTES = 8
 #: Tags by which an exported recording says what its pixels and time stamps do not: how many frames there are a second,
-#: how many bits are used, and which mosaic its grey pixels are.
-RATE_TAG, BITS_TAG, BAYER_TAG = "COLORPHASE_RATE", "COLORPHASE_BITS", "COLORPHASE_BAYER"
+#: how many bits are used, which mosaic its grey pixels are, and which part of the camera's sensor.
+RATE_TAG, BITS_TAG, BAYER_TAG, SENSOR_TAG = (f"COLORPHASE_{name}" for name in ("RATE", "BITS", "BAYER", "SENSOR"))
 # How Exif's orientations turn a picture.
 _TURNS = {
     2: "mirrored left to right",
@@ -69,8 +70,10 @@ class VideoFile:
         if path.stat().st_size == 0:
             raise FootageError(f"{path} is empty: copy it again")
         with self._opened() as (container, stream):
-            self._rate_hz, self._says = _tagged(container.metadata, says)
-            self.is_recording = self._rate_hz is not None
+            tags, self._says = _tagged(container.metadata, says)
+            self.is_recording = tags is not None
+            self._rate_hz = None if tags is None else tags.rate_hz
+            self.sensor = None if tags is None else tags.sensor
             self._stamp_s = float(stream.time_base or 0)
             self._index = _index_frames(container, stream)
             self._n_frames = 1 + max(self._index.numbers, default=-1)
@@ -313,8 +316,8 @@ def films(container: Any) -> Iterator[Any]:
     return (stream for stream in container.streams.video if not stream.disposition & cover)
 
 
-def _tagged(metadata: Mapping[str, str], says: StoredAs) -> tuple[Fraction | None, StoredAs]:
-    """Return the rate of an exported recording, None of another video; and what the user says, or else its tags.
+def _tagged(metadata: Mapping[str, str], says: StoredAs) -> tuple[RecordingTags | None, StoredAs]:
+    """Return the tags of an exported recording, None of another video; and what the user says, or else they.
 
     Raises
     ------
@@ -327,11 +330,13 @@ def _tagged(metadata: Mapping[str, str], says: StoredAs) -> tuple[Fraction | Non
     try:
         if len(bits := tags[BITS_TAG]) > 2:
             raise ValueError(f"bits {bits[:40]!r} is no number of bits")
-        known = RecordingTags(rate_of(tags[RATE_TAG]), None, tags.get(BAYER_TAG), int(bits))
-    except (KeyError, ValueError) as error:
+        said = tags.get(SENSOR_TAG)
+        sensor = None if said is None else build(SensorPart, json.loads(said), ValueError, "sensor")
+        known = RecordingTags(rate_of(tags[RATE_TAG]), None, tags.get(BAYER_TAG), int(bits), sensor)
+    except (KeyError, ValueError, RecursionError) as error:
         raise FootageError(f"its tags are not those of a recording ({error}): export it again") from None
-    said: dict[str, Any] = {"bayer": known.bayer, "bits": known.bits}
-    return known.rate_hz, replace(says, **{name: value for name, value in said.items() if getattr(says, name) is None})
+    stored: dict[str, Any] = {"bayer": known.bayer, "bits": known.bits}
+    return known, replace(says, **{name: value for name, value in stored.items() if getattr(says, name) is None})
 
 
 @dataclass(frozen=True)

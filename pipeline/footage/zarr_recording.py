@@ -12,6 +12,7 @@ import numpy as np
 from pipeline.errors import DamageError, FootageError
 from pipeline.footage.source import BadFrame, Frames, StoredAs, StoredFrame
 from pipeline.limits import check_missing, check_size, read_plain, read_text
+from pipeline.models import SensorPart, build
 from pipeline.zarr_chunks import chunk_bytes, chunk_key, decode_chunk
 from tikernels.errors import ShapeError
 from tikernels.raw.linearization import TRANSFERS
@@ -54,6 +55,7 @@ class RecordingTags:
     transfer: str | None
     bayer: str | None  # None: RGB
     bits: int
+    sensor: SensorPart | None = None  # the part of the camera's that frames are; None: not known
 
     def __post_init__(self) -> None:
         if not 0 < self.rate_hz <= MOST_FRAMES_A_SECOND:
@@ -103,7 +105,9 @@ class ZarrRecording:
             )
         try:
             layout, bayer = about["layout"], about["bayer"]
-            tags = RecordingTags(rate_of(about["rate_hz"]), about["transfer"], bayer, int(about["bits"]))
+            said = about.get("sensor")
+            sensor = None if said is None else build(SensorPart, said, ValueError, "sensor")
+            tags = RecordingTags(rate_of(about["rate_hz"]), about["transfer"], bayer, int(about["bits"]), sensor)
             format = PixelFormat(layout, tags.bits, **({"bayer": bayer} if layout == "bayer" else {}))
             self._n_frames, height, width = (int(size) for size in array.shape[:3])
             (self._shape,) = format.plane_shapes(height, width)
@@ -119,6 +123,7 @@ class ZarrRecording:
         self.transfer = tags.transfer
         self.transfer_because = "the recording says so" if tags.transfer else "the recording does not say"
         self.rate_hz = tags.rate_hz
+        self.sensor = tags.sensor
         self.size_px = (width, height)
         self.format = says.applied_to(format)
 

@@ -14,6 +14,7 @@ from pipeline.calibration import Geometry
 from pipeline.causes import Cause
 from pipeline.contrast_code import ContrastCode
 from pipeline.decoding.buffers import SurfaceBuffers
+from pipeline.decoding.doubts import CODE_CONTRAST
 from pipeline.decoding.frame import CameraRays, FrameMemory, RegionOrders
 from pipeline.errors import CalibrationError
 from pipeline.orders.carried_orders import MAX_CARRIED_ERROR, CarriedOrders, choose_motion, count_votes, split_by_votes
@@ -45,14 +46,12 @@ _MOST_CYCLES = 1e4
 # At least one part in as many is not the surface that the frame before saw there, whatever the votes say.
 _LEAST_CARRIED_ERROR = 1e-3
 
-_CODE_NOT_SEEN = (
+_CODE_NOT_SEEN = Cause(
+    "code not seen",
     'the frame does not show the contrast code: project what colorphase pattern makes, or set code = "none" '
-    "(--code none)"
+    "(--code none)",
 )
-# Below this contrast of the fringe, light beside the projector's is likely why the code cannot be read: without any it
-# is 1; a simulated bust keeps all its orders at .73, and loses a fifth to a third of them at .53.
-_CODE_CONTRAST = 0.65
-_OTHER_LIGHT = "; other light, or a wrong transfer, takes the fringe's contrast to {:.0%}: shut it out"
+_CODE_TOO_WEAK = Cause("code too weak", "the contrast code cannot be read in this frame")
 _OUT_OF_RANGE = (
     "{:.0%} of the surface fits at no order into the depth range of {:g} to {:g} mm, which therefore tells none: "
     "give the range of all that is in view"
@@ -192,7 +191,7 @@ class OrderFinder:
         #: Where the object is expected, mm; regions that nothing places are put nearest to it.
         self.expected_depth_mm = None if geometry is None else _expected_depth(geometry, depth_range_mm)
         if geometry is not None and self.expected_depth_mm is not None:
-            _check_view(geometry, self.expected_depth_mm)
+            _check_view(geometry, self.expected_depth_mm, stated=depth_range_mm is not None)
 
     def find(self, seen: SeenPhase, patches: Patches, rays: CameraRays | None, memory: FrameMemory | None) -> Placement:
         """Find where the evidence contradicts regions, and which offsets it names.
@@ -217,8 +216,9 @@ class OrderFinder:
             patches.shift_orders(found.shifts)
             left_out = found.torn
             if not found.readable:
-                moved = found.shift_px is not None
-                warning = _moved(found.shift_px) if moved else _code_lost("code not seen", _CODE_NOT_SEEN, seen)
+                warning = _CODE_TOO_WEAK if seen.contrast < CODE_CONTRAST else _CODE_NOT_SEEN
+                if found.shift_px is not None:
+                    warning = _moved(found.shift_px)
         if memory is not None:
             change = memory.orders.change
             votes = vote_orders(seen.phase, patches, memory.surface.unwrapped, memory.surface.region, change)
@@ -282,7 +282,7 @@ class OrderFinder:
         lost = float(regions.pixels[~known[1:]].sum() / max(regions.pixels.sum(), 1))
         if lost > _MAX_LOST:
             text = f"{lost:.0%} of the pixels show too little of the code, or contradict it: their order is a guess"
-            return corrected, _code_lost("orders guessed", text, seen)
+            return corrected, Cause("orders guessed", text)
         return corrected, None
 
     def shows_a_code(self, seen: SeenPhase, patches: Patches) -> bool:
@@ -352,22 +352,19 @@ def _moved(shift_px: float) -> Cause:
     return Cause("rig moved", f"{words}: camera or projector have moved since, calibrate geometry again")
 
 
-def _code_lost(key: str, text: str, seen: SeenPhase) -> Cause:
-    """Return why a code was not read, with the cause where it is other light."""
-    if seen.contrast >= _CODE_CONTRAST:
-        return Cause(key, text)
-    return Cause("other light", text + _OTHER_LIGHT.format(seen.contrast))
-
-
-def _check_view(geometry: Geometry, depth_mm: float) -> None:
-    """Check that the pattern is anywhere near what the camera sees at a depth."""
+def _check_view(geometry: Geometry, depth_mm: float, *, stated: bool) -> None:
+    """Check that the pattern is anywhere near what the camera sees at a depth, stated or the geometry's own."""
     right, bottom = geometry.camera.size_px
     corners = np.array([[0, 0, 1], [right, 0, 1], [0, bottom, 1], [right, bottom, 1], [right / 2, bottom / 2, 1]])
     cycles = geometry.pattern_cycles(depth_mm * corners @ np.linalg.inv(geometry.camera.matrix).T)
     if not np.abs(cycles).max() < _MOST_CYCLES:
         raise CalibrationError(
-            f"at {depth_mm:.4g} mm, where the object is expected, the camera looks far past the pattern: check "
-            "depth_range_mm, translation_mm and the lenses' matrices, or recalibrate"
+            Cause(
+                "past the pattern",
+                f"at {depth_mm:.4g} mm the camera looks far past the pattern, and its axis and the projector's meet at "
+                f"{geometry.working_distance_mm() or np.inf:.4g} mm: {'correct depth_range_mm, or ' if stated else ''}"
+                "calibrate geometry again",
+            )
         )
 
 

@@ -1,11 +1,13 @@
 """The folder that decoding fills: made whole, or not at all, and without losing what is not ours.
 
-Ours is what `report.json` names with the SHA-256 that it still has, `report.json` itself, and a ``result.zarr`` that
-says so. A mesh that was edited and kept its name is its user's.
+Ours is what `report.json` names with the length and SHA-256 that it still has, `report.json` itself, and a
+``result.zarr`` that says so. A mesh that was edited and kept its name is its user's.
 """
 
 import hashlib
 import json
+import math
+import os
 import shutil
 import tempfile
 from collections.abc import Callable, Collection, Iterator
@@ -32,8 +34,8 @@ from pipeline.settings import DecodeSettings
 #: The result in an output folder.
 STORE = "result.zarr"
 _REPORT = "report.json"
-# What a report says of the files beside it: the SHA-256 of each, by name.
-_FILES = "files_sha256"
+# What a report says of the files beside it: the mark of each, by name.
+_FILES = "files"
 # Bytes; no report is longer.
 _MOST_REPORT = 2**20
 _WHOLE = MeshOptions()
@@ -90,11 +92,11 @@ def _move(work: Path, path: Path) -> None:
     written = [entry for entry in work.iterdir() if entry.is_file()]  # a store is on the disk already
     with ThreadPoolExecutor(1, "beside") as beside:  # the disk is as slow as the digests
         synced = beside.submit(sync, *(entry for entry in written if entry.name != _REPORT))
-        new = {entry.name: file_digest(entry) for entry in written if entry.name != _REPORT}
+        new = {entry.name: file_mark(entry) for entry in written if entry.name != _REPORT}
         synced.result()
     if (work / _REPORT).exists():
         report = json.loads((work / _REPORT).read_bytes())  # which has just been written
-        kept = {name: digest for name, digest in _reported(path).items() if file_digest(path / name) == digest}
+        kept = {name: mark for name, mark in _reported(path).items() if is_as_marked(path / name, mark)}
         text = json.dumps({**report, _FILES: {**kept, **new}}, indent=1) + "\n"
         (work / _REPORT).write_text(text, encoding="utf-8")
         sync(work / _REPORT)
@@ -121,7 +123,7 @@ def _refuse_foreign(path: Path) -> None:
         elif entry.name == _REPORT:
             is_ours = bool(reported)
         else:
-            is_ours = entry.name in reported and file_digest(entry) == reported[entry.name]
+            is_ours = bool(is_as_marked(entry, reported.get(entry.name)))
         if not is_ours and not _is_lock(entry):
             edited = " has been changed since we wrote it" if entry.name in reported else " is not ours"
             raise OutputError(
@@ -131,15 +133,15 @@ def _refuse_foreign(path: Path) -> None:
 
 def changed_files(path: Path) -> list[str]:
     """Return the names of the files that a folder's report names, and which are not as they were written."""
-    return [name for name, digest in _reported(path).items() if file_digest(path / name) != digest]
+    return [name for name, mark in _reported(path).items() if not is_as_marked(path / name, mark)]
 
 
 def _reported(path: Path) -> dict[str, str]:
-    """Return the files that a folder's report names, and their SHA-256; none where there is no report."""
+    """Return the files that a folder's report names, and their marks; none where there is no report."""
     try:
         files = json.loads(read_plain(path / _REPORT, _MOST_REPORT))[_FILES]
         # Others' reports name files elsewhere, too.
-        return {name: digest for name, digest in files.items() if is_plain_name(name) and isinstance(digest, str)}
+        return {name: mark for name, mark in files.items() if is_plain_name(name) and isinstance(mark, str)}
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return {}
 
@@ -155,11 +157,29 @@ def is_plain_name(name: str) -> bool:
     return Path(name).name == name and name not in ("", "..")
 
 
-def file_digest(file: Path) -> str | None:
-    """Return a file's SHA-256; None where there is no plain file."""
+def file_digest(file: Path, most_bytes: float = math.inf) -> str | None:
+    """Return a file's SHA-256; None where there is no plain file, or a longer one."""
     try:
         with open_plain(file) as opened:
+            if os.fstat(opened.fileno()).st_size > most_bytes:
+                return None
             return hashlib.file_digest(opened, "sha256").hexdigest()
+    except (OSError, ValueError):  # of a name that no file can have
+        return None
+
+
+def file_mark(file: Path) -> str:
+    """Return what distinguishes a file from others: its length and its SHA-256."""
+    return f"{file.stat().st_size} bytes, SHA-256 {file_digest(file)}"
+
+
+def is_as_marked(file: Path, *marks: str | None) -> bool | None:
+    """Return whether a file has one of some marks, None where there is no plain file; others' lengths are not read."""
+    try:
+        with open_plain(file) as opened:
+            length = f"{os.fstat(opened.fileno()).st_size} bytes, SHA-256 "
+            known = {mark for mark in marks if mark is not None and mark.startswith(length)}
+            return bool(known) and length + hashlib.file_digest(opened, "sha256").hexdigest() in known
     except (OSError, ValueError):  # of a name that no file can have
         return None
 

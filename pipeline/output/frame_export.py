@@ -1,8 +1,8 @@
 """The frames of a ``result.zarr`` as files for other programs, in a folder that may hold other things, too.
 
 ``exported.json`` there says of each item, a frame's files or the bag of all frames, what it was made of, and the files'
-SHA-256. What has both is not made again, and what has another SHA-256 is its user's. So an export that is stopped goes
-on where it was; a file that a killed one has not written down is known by being what would be written.
+lengths and SHA-256. What has both is not made again, and what has others is its user's. So an export that is stopped
+goes on where it was; a file that a killed one has not written down is known by being what would be written.
 """
 
 import hashlib
@@ -22,7 +22,7 @@ from pipeline.errors import FootageError, OutputError, SettingsError
 from pipeline.files import explain, replace_file, write_atomically
 from pipeline.limits import read_plain
 from pipeline.locking import locked
-from pipeline.output.folder import file_digest, is_plain_name
+from pipeline.output.folder import file_mark, is_as_marked, is_plain_name
 from pipeline.output.formats.ros_bag import write_bag
 from pipeline.output.formats.table import FORMATS, Kind, encode_as
 from pipeline.output.mesh import Mesh, RangeGrid, provenance_of
@@ -54,7 +54,7 @@ class _Item:
     """The record of an item that was exported."""
 
     made_of: str
-    sha256: dict[str, str]  # of each file, by its path in the folder; empty: the frame shows no surface
+    files: dict[str, str]  # the mark of each, by its path in the folder; empty: the frame shows no surface
     counts: dict[str, int] = field(default_factory=dict, compare=False)  # what became of a mesh's pixels
 
 
@@ -246,7 +246,7 @@ class _Export:
             number
             for name, numbers in self._items.items()
             for number in numbers
-            if (item := self._known.get(name)) is not None and not item.sha256
+            if (item := self._known.get(name)) is not None and not item.files
         ]
         if self._done.damaged and not self._done.written and not self._done.before:
             raise FootageError(next(iter(self._done.damaged.values())))
@@ -260,17 +260,17 @@ class _Export:
         except FootageError as error:
             self._damaged(numbers, error)
             return []
-        digests = {file: str(file_digest(self._work / file)) for file in files}
-        before = self._known.get(name, _Item("", {})).sha256
-        for file, digest in digests.items():
-            if not force and file_digest(self._folder / file) not in (None, digest, before.get(file)):
+        marks = {file: file_mark(self._work / file) for file in files}
+        before = self._known.get(name, _Item("", {})).files
+        for file, mark in marks.items():
+            if not force and is_as_marked(self._folder / file, mark, before.get(file)) is False:
                 raise self._refused(file, "is not ours")
-        for file in before.keys() - digests.keys():  # of a frame that showed a surface before
+        for file in before.keys() - marks.keys():  # of a frame that showed a surface before
             (self._folder / file).unlink(missing_ok=True)
         for file in reversed(files):  # the first one names the others
             (self._folder / file).parent.mkdir(exist_ok=True)
             os.replace(self._work / file, self._folder / file)
-        self._known[name] = _Item(made_of, digests, counts)
+        self._known[name] = _Item(made_of, marks, counts)
         self._done.written += numbers
         return files
 
@@ -282,15 +282,15 @@ class _Export:
         item = self._known.get(name)
         if item is None or item.made_of != made_of:
             return False
-        return all(file_digest(self._folder / file) == digest for file, digest in item.sha256.items())
+        return all(is_as_marked(self._folder / file, mark) for file, mark in item.files.items())
 
     def _refuse_changed(self) -> None:
         """Refuse a folder in which a file is not as it was written."""
         if (self._folder / _RECORD).exists() and not self._known:
             raise self._refused(_RECORD, "is not ours")
         for name in self._items:
-            for file, digest in self._known.get(name, _Item("", {})).sha256.items():
-                if file_digest(self._folder / file) not in (None, digest):
+            for file, mark in self._known.get(name, _Item("", {})).files.items():
+                if is_as_marked(self._folder / file, mark) is False:
                     raise self._refused(file, "has been changed since we wrote it")
 
     def _refused(self, name: str, why: str) -> OutputError:
@@ -307,11 +307,11 @@ def _read_record(folder: Path) -> dict[str, _Item]:
     try:
         items = json.loads(read_plain(folder / _RECORD, _MOST_RECORD))[_ITEMS]
         read = {
-            name: _Item(str(about["made_of"]), dict(about["sha256"]), dict(about["counts"]))
+            name: _Item(str(about["made_of"]), dict(about["files"]), dict(about["counts"]))
             for name, about in items.items()
         }
         # Others' records name files elsewhere, too, and what is of no use any more is removed.
-        inside = all(_is_inside(file) for item in read.values() for file in item.sha256)
+        inside = all(_is_inside(file) for item in read.values() for file in item.files)
         return read if inside else {}
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return {}

@@ -7,7 +7,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.calibration.model import Lens
+from pipeline.calibration.lens import Lens
 from pipeline.showing import to_html
 from pipeline.text import one_line
 

@@ -101,7 +101,8 @@ def refuse_empty(mesh: Mesh, what: str = "the mesh") -> None:
         It has no faces.
     """
     if not len(mesh.vertices):
-        raise RenderError(f"{what} is empty: decode the frame again, or run colorphase inspect on it")
+        ours = "nothing of its frame was measured, colorphase inspect says why"
+        raise RenderError(f"{what} has no point: {ours if mesh.provenance else 'give another file'}")
     if not len(mesh.faces):
         raise RenderError(f"{what} has {len(mesh.vertices)} points and no faces: give one of triangles")
 

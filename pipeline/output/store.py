@@ -273,7 +273,7 @@ class ResultStore:
             self._files.sync_folder(DONE)
 
     def unmark(self, numbers: Iterable[int]) -> None:
-        """Take the marks of frames away, which are not whole.
+        """Take the marks and the values of frames away, which are not whole, or other footage's.
 
         Raises
         ------
@@ -283,6 +283,8 @@ class ResultStore:
         with self._files.explained():
             for number in numbers:
                 self._files.remove(f"{DONE}/{chunk_key(number, 1)}")
+                for name in self._fields:  # of a frame that is bad now Zarr would read them
+                    self._files.remove(f"{name}/{chunk_key(number, len(FIELDS[name].axes))}")
 
     def remove_leftovers(self) -> None:
         """Remove the files that a writer who was killed left half-written; while nobody writes."""

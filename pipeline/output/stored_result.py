@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.calibration.model import Lens
+from pipeline.calibration.lens import Lens
 from pipeline.decoding.frame import FIELDS
 from pipeline.errors import DamageError, DecodeWarning, FootageError
 from pipeline.output.mesh import Mesh, RangeGrid, provenance_of

@@ -20,7 +20,8 @@ import numpy as np
 from pipeline.calibration.board import Board
 from pipeline.calibration.board_poses import BoardPose
 from pipeline.calibration.bundle_adjustment import BundleAdjustment
-from pipeline.calibration.model import Geometry, Lens
+from pipeline.calibration.lens import Lens
+from pipeline.calibration.model import Geometry
 from pipeline.calibration.multishot import FINE_PX, fringe_groups, multishot_sequence
 from pipeline.calibration.simulated_board import board_turns
 from pipeline.calibration.verdict import depth_bias_mm

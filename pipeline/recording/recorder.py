@@ -19,7 +19,7 @@ from pipeline.errors import OutputError
 from pipeline.files import explain, sync
 from pipeline.footage.zarr_recording import RecordingTags
 from pipeline.locking import locked
-from pipeline.models import ImageArray
+from pipeline.models import ImageArray, SensorPart
 from pipeline.recording.zarr_writer import MOST_THREADS, PART, ZarrWriter
 from tikernels.errors import ShapeError
 from tikernels.raw.pixel_format import PixelFormat
@@ -54,6 +54,8 @@ class Recorder:
         How light is encoded, if that is known.
     rate_hz : int or Fraction
         Frames a second, up to 500: for players; frames are known by their numbers.
+    sensor : SensorPart, optional
+        The part of the camera's sensor that frames are, where it is known.
 
     Raises
     ------
@@ -70,6 +72,7 @@ class Recorder:
         *,
         transfer: str | None = None,
         rate_hz: int | Fraction = 30,
+        sensor: SensorPart | None = None,
     ) -> None:
         self._path = Path(path)
         if (format.layout, format.channels, format.shift) not in (("rgb", "rgb", 0), ("bayer", "rgb", 0)):
@@ -86,7 +89,7 @@ class Recorder:
                 f"verify {self._path.parent} finishes it; or choose another name"
             )
         self._tags = RecordingTags(
-            Fraction(rate_hz), transfer, format.bayer if format.layout == "bayer" else None, format.bits
+            Fraction(rate_hz), transfer, format.bayer if format.layout == "bayer" else None, format.bits, sensor
         )
         self._shape: tuple[int, ...] = ()
         self._threads: WritingThreads | None = None

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from pipeline.errors import FootageError, OutputError
 from pipeline.files import explain, make_folder, replace_file
 from pipeline.footage.source import BadFrame, StoredAs
-from pipeline.footage.video_file import BAYER_TAG, BITS_TAG, RATE_TAG
+from pipeline.footage.video_file import BAYER_TAG, BITS_TAG, RATE_TAG, SENSOR_TAG
 from pipeline.footage.zarr_recording import ZarrRecording
 from pipeline.models import ImageArray
 from tikernels.raw.pixel_format import PixelFormat
@@ -72,6 +72,8 @@ def _encode(source: ZarrRecording, file: BinaryIO, tell: Callable[[int, int], No
         container.metadata.update({RATE_TAG: str(source.rate_hz), BITS_TAG: str(format.bits)})
         if format.layout == "bayer":
             container.metadata[BAYER_TAG] = format.bayer
+        if source.sensor is not None:
+            container.metadata[SENSOR_TAG] = source.sensor.model_dump_json()
         stream: Any = container.add_stream("ffv1", rate=source.rate_hz, options=_OPTIONS)
         stream.width, stream.height = source.size_px
         stream.pix_fmt = _pixels(format)

@@ -60,6 +60,8 @@ class ZarrWriter:
             "transfer": tags.transfer,
             "rate_hz": str(tags.rate_hz),
         }
+        if tags.sensor is not None:
+            about["sensor"] = tags.sensor.model_dump(mode="json")
         (shape,) = format.plane_shapes(size_px[1], size_px[0])
         group = zarr.open_group(path, mode="w-", attributes={ATTRIBUTE: about})
         group.create_array(

@@ -12,6 +12,7 @@ class FlatStudio:
     """
 
     projector_px = (64, 48)
+    sensor = None
 
     def __init__(self, latency_s=0.05, seed=0):
         self.latency_s, self.rng = latency_s, np.random.default_rng(seed)

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.calibration.model import Lens
+from pipeline.calibration.lens import Lens
 from pipeline.output.mesh import FILLED, RIM, Mesh
 
 #: Neighbouring pixels whose depths differ by this much, mm, see two surfaces.

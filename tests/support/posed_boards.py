@@ -1,5 +1,7 @@
 """Boards in a pose before the rig that calibration is tested with."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 from support.board_rig import SpoiltCaptures
@@ -61,3 +63,8 @@ def exact_poses(
         shift = np.zeros((3, 2))
         poses.append(BoardPose(f"pose_{k:02d}", board.corners_mm(), *views, shift, shift, np.eye(2)))
     return poses
+
+
+def scaled(poses, factor):
+    """Return poses of a board whose squares are said to be this many times as large as they are."""
+    return [replace(pose, corners_mm=factor * pose.corners_mm) for pose in poses]

@@ -15,6 +15,8 @@ Picture = npt.NDArray[np.float64]
 class InMemory:
     """Frames of a list as a `Source`; None stands for a damaged one."""
 
+    sensor = None
+
     def __init__(self, images, format=None, name="film"):
         self.name, self._images, self.format = name, images, format or PixelFormat("rgb")
 

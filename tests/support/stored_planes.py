@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from pipeline.calibration.model import Lens
+from pipeline.calibration.lens import Lens
 from pipeline.output.store import ResultStore, chosen_fields
 from pipeline.output.store_files import _digest
 from pipeline.text import one_line

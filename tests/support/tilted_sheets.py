@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pipeline.calibration.model import Lens
+from pipeline.calibration.lens import Lens
 from pipeline.output.mesh import Mesh, RangeGrid
 from pipeline.output.surface_mesh import MeshOptions, surface_mesh
 

@@ -18,6 +18,7 @@ from tikernels.arrays import F32
 from tikernels.depth.lens_distortion import LENS_NUMBERS, SHORT, distorted, needed_terms, pack_lens
 from tikernels.launching import kernel
 from tikernels.phase.phase_vector import PI
+from tikernels.phase.wrapped_phase import NO_PHASE
 from tikernels.strips import STRIP, strip_at, strip_count
 
 # Steps of the secant method, each of which takes the product of the two errors before it; and how far a lens may change
@@ -179,3 +180,26 @@ def triangulate(unwrapped_phase: F32, rays: F32, projector: ProjectorGeometry, o
     out = checks.out_array("out", out, (*shape, 3), np.float32)
     triangulate_kernel(unwrapped_phase, rays, *projector.arguments(), out)
     return out
+
+
+@kernel
+def leave_out_blind_kernel(
+    rays: F32Array3,  # (H, W, 2) x, y at unit depth
+    out_phase: F32Array2,  # (H, W) rad; NO_PHASE outside the mask
+):
+    for y, x in ti.ndrange(out_phase.shape[0], out_phase.shape[1]):
+        if ti.math.isnan(rays[y, x, 0]):
+            out_phase[y, x] = NO_PHASE
+
+
+def leave_out_blind(rays: F32, out: F32) -> None:
+    """Take pixels without a ray, (H, W, 2) float32, NaN there, out of a phase, (H, W) float32: NO_PHASE.
+
+    Raises
+    ------
+    ShapeError
+        A shape or dtype is another one, or `out` cannot be written.
+    """
+    rays = checks.read_array("rays", rays, (None, None, 2), np.float32)
+    phase = checks.out_buffer("phase", out, (int(rays.shape[0]), int(rays.shape[1])), np.float32)
+    leave_out_blind_kernel(rays, phase)

@@ -16,7 +16,7 @@ import re
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.calibration.model import Lens
+from pipeline.calibration.lens import Lens
 from pipeline.errors import OutputError
 from pipeline.limits import check_mesh_size
 from pipeline.output.formats import Content, Heading

@@ -34,6 +34,9 @@ READ_SUFFIXES = (".obj", ".stl", ".glb", ".gltf")
 _HEAD = 2**16
 # A corner that is counted from the last vertex.
 _FROM_LAST = re.compile(rb"^\s*f[^\n]*[ /]-", re.MULTILINE)
+# A vertex with a colour; and a material, next to which the reader loses such colours.
+_COLORED = re.compile(rb"^\s*v(?:[ \t]+\S+){6}", re.MULTILINE)
+_MATERIAL = re.compile(rb"^\s*usemtl[^\n]*", re.MULTILINE)
 
 
 def encode_obj(mesh: Mesh, heading: Heading) -> dict[str, Content]:
@@ -174,28 +177,60 @@ def read_foreign(path: Path, most_bytes: int) -> tuple[Mesh, dict[str, str]]:
     beside = _Beside(path.parent, most_bytes)
     try:
         kind = path.suffix[1:].lower()
-        if kind == "obj":
-            data = _numbered_from_first(data)
-        scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, resolver=beside, process=False)
-        places = list(scene.graph.nodes_geometry)
-        if len(places) == 1:  # joining parts, even a single one, loses colours next to a material
-            transform, name = scene.graph[places[0]]
-            solid = scene.geometry[name]
-            vertices = trimesh.transform_points(solid.vertices, transform).astype(np.float32)
-        else:
-            solid = scene.to_mesh()
-            vertices = np.asarray(solid.vertices, np.float32)
-        faces = np.asarray(getattr(solid, "faces", np.empty((0, 3))), np.int32)
-        colors = _colors(solid) if len(faces) else None
         remarks = _remarks(data, kind)
+        if kind == "obj":
+            data = _numbered_from_first(_MATERIAL.sub(b"", data) if _COLORED.search(data) else data)
+        elif kind != "stl":
+            data = _with_materials(data)
+        scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, resolver=beside, process=False)
+        # Joined by the reader they would lose colours next to a material.
+        solids = [
+            (scene.geometry[name], transform) for transform, name in map(scene.graph.get, scene.graph.nodes_geometry)
+        ]
+        solids = [(solid, transform) for solid, transform in solids if len(getattr(solid, "faces", ()))]
+        vertices = [trimesh.transform_points(solid.vertices, transform) for solid, transform in solids]
+        starts = np.cumsum([0, *map(len, vertices)])
+        faces = [
+            start + (solid.faces if np.linalg.det(transform) > 0 else solid.faces[:, ::-1])  # else it is mirrored
+            for (solid, transform), start in zip(solids, starts, strict=False)
+        ]
+        colors = [_colors(solid) for solid, _ in solids]
     except OSError:
         raise
     except Exception as error:  # its readers raise whatever damaged bytes lead to
         raise ValueError(f"it is damaged, or no such file ({type(error).__name__})") from None
-    if not len(faces):
+    if not solids:
         raise ValueError("it has no triangles")
-    check_mesh_size(len(vertices), len(faces), repeated=6)
-    return Mesh(vertices.reshape(-1, 3), faces.reshape(-1, 3), colors), remarks
+    check_mesh_size(int(starts[-1]), sum(map(len, faces)), repeated=6)
+    known = [each for each in colors if each is not None]
+    return Mesh(
+        np.concatenate(vertices).astype(np.float32),
+        np.concatenate(faces).astype(np.int32),
+        np.concatenate(known) if len(known) == len(solids) else None,
+    ), remarks
+
+
+def _with_materials(data: bytes) -> bytes:
+    """Return a glTF file in which whatever has colours has a material: else the reader takes their last 8 bits.
+
+    Trimesh writes sRGB without a material, which it reads, in place of the standard's linear light.
+    """
+    binary = data[:4] == b"glTF"
+    begin, end = (20, 20 + int.from_bytes(data[12:16], "little")) if binary else (0, len(data))
+    scene = json.loads(data[begin:end])
+    parts = [part for mesh in scene.get("meshes", []) for part in mesh["primitives"]]
+    bare = [part for part in parts if "COLOR_0" in part["attributes"] and "material" not in part]
+    if not bare or "trimesh" in scene["asset"].get("generator", ""):
+        return data
+    scene["materials"] = [*scene.get("materials", []), {}]
+    for part in bare:
+        part["material"] = len(scene["materials"]) - 1
+    text = json.dumps(scene).encode()
+    if not binary:
+        return text
+    text += b" " * (-len(text) % 4)
+    head = struct.pack("<4sIII4s", b"glTF", 2, len(text) + 20 + len(data) - end, len(text), b"JSON")
+    return head + text + data[end:]
 
 
 def _numbered_from_first(data: bytes) -> bytes:

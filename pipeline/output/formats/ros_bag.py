@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.calibration.model import Lens
+from pipeline.calibration.lens import Lens
 from pipeline.errors import OutputError
 from pipeline.limits import check_mesh_size
 from pipeline.output.mesh import RangeGrid

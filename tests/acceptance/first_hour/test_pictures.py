@@ -220,7 +220,7 @@ WARNED = {
         lambda f: by_pillow(eight(light(code=None)), "PNG"),
         "the frame does not show the contrast code: project what colorphase pattern makes",
     ),
-    "daylight.png": (lambda f: by_pillow(eight(light(ambient=1.0)), "PNG"), "other light, or a wrong transfer, takes"),
+    "daylight.png": (lambda f: by_pillow(eight(light(ambient=1.0)), "PNG"), "whether other light, blur"),
     "squeezed.jpg": (lambda f: jpeg(f.phone, quality=60), "of the pixels show too little of the code"),
 }
 

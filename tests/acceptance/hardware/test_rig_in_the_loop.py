@@ -128,7 +128,7 @@ def test_basler_and_the_real_firmware(simavr_board, rig_of, emulator):
             bursts = list(islice(rig.bursts(), 2))
     assert [[paired.pulse for paired in burst.frames] for burst in bursts] == 2 * [list(range(FRAMES))]
     (lost,) = rejected
-    assert "4 frames to 5 pulses: check the camera's trigger cable" in str(lost.faults[0])
+    assert "4 frames to 5 pulses: the camera's trigger cable" in str(lost.faults[0])
     assert board.outputs() == (False, False)
 
 

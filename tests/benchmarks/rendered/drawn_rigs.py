@@ -11,7 +11,8 @@ import numpy.typing as npt
 from spectra import WAVELENGTHS, bell, edge
 
 from pipeline.calibration import Calibration
-from pipeline.calibration.model import Lens, Pattern
+from pipeline.calibration.lens import Lens
+from pipeline.calibration.model import Pattern
 from pipeline.pattern import CYCLES
 
 F64 = npt.NDArray[np.float64]

@@ -99,6 +99,13 @@ def test_the_tables_are_read_without_loading_any_driver():
     assert done.stdout == "[]\n"
 
 
+def test_the_simulated_camera_has_the_one_format_that_it_sends():
+    for name in (None, "RGB8"):
+        assert CameraSettings(driver="simulated", exposure_s=1, pixel_format=name).pixel_format == name
+    with pytest.raises(ValidationError, match=r'must be "RGB8" with the simulated camera, got .BayerRG8'):
+        CameraSettings(driver="simulated", exposure_s=1, pixel_format="BayerRG8")
+
+
 def test_settings_accept_the_tables_names_and_nothing_else():
     for name in (*TRIGGERS, "software", "simulated", "own_drivers:OwnTrigger"):
         assert TriggerSettings(driver=name).driver == name

@@ -221,7 +221,7 @@ def test_the_last_byte_of_a_longer_end_is_enough():
         ("socket://127.0.0.1", r"write host and port, as socket://10.0.0.5:5025"),
         ("socket://:5025", r"write host and port"),
         ("rfc2217://127.0.0.1:999999", r"write host and port, as rfc2217://"),
-        ("socket://127.0.0.1:1", r"does not answer \(.*refused\): is the instrument on, the address right\?"),
+        ("socket://127.0.0.1:1", r"does not answer \(.*refused\): check its power and the address"),
         ("rfc2217://127.0.0.1:1", r"does not answer"),
     ],
 )

@@ -1,13 +1,16 @@
 """Which pulse a frame belongs to, from evidence written down by hand."""
 
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
 
-from hardware.pairing import Evidence, find_faults
+from hardware.alternating_pictures import Alternation
+from hardware.pairing import Evidence, FaultKey, find_faults
 from hardware.protocols import CameraFrame, Strobe, TriggerStatus
 from hardware.pulses import Pulse, PulseTrain
+from hardware.run_start import start_of
 
 PERIOD_S, COUNT, EXPOSURE_S = 0.02, 5, 5e-3
 TRAIN = PulseTrain(PERIOD_S, COUNT, Pulse(0.0, 1e-4), Pulse(1e-3, 1e-4))
@@ -20,10 +23,12 @@ def frame_of(number, **changed):
     return replace(CameraFrame(image, 100.0 + exposed_s + 0.01, 40 + number, 7.0 + exposed_s), **changed)
 
 
-def evidence(frames=None, strobes=None, **changed):
+FRAMES = [frame_of(number) for number in range(COUNT)]
+STROBES = [Strobe(number, number * PERIOD_S + 1e-3) for number in range(COUNT)]
+
+
+def evidence(frames=FRAMES, strobes=STROBES, **changed):
     """Return what is known of a burst in which all went well, except for what is changed."""
-    frames = [frame_of(number) for number in range(COUNT)] if frames is None else frames
-    strobes = [Strobe(number, number * PERIOD_S + 1e-3) for number in range(COUNT)] if strobes is None else strobes
     return Evidence(
         **{
             "train": TRAIN,
@@ -41,7 +46,7 @@ def evidence(frames=None, strobes=None, **changed):
             "previous": None,
             "least_arrival_s": None,
             "armed": TriggerStatus(False, boot=1),
-            "ended": TriggerStatus(False, COUNT, len(strobes), boot=1),
+            "ended": TriggerStatus(False, COUNT, None if strobes is None else len(strobes), boot=1),
             "strobe_wired": True,
             "strobes": strobes,
             "strobe_delay_s": None,
@@ -63,7 +68,9 @@ def test_a_whole_burst_is_beyond_doubt(wired):
 def test_the_missing_exposure_names_the_pulse_and_the_cable():
     frames = [frame_of(number) for number in (0, 1, 3, 4)]
     strobes = [Strobe(number, number * PERIOD_S + 1e-3) for number in (0, 1, 3, 4)]
-    assert said(evidence(frames, strobes))[0] == "pulse 2: 4 exposures to 5 pulses: check the camera's trigger cable"
+    assert said(evidence(frames, strobes))[0].startswith(
+        "pulse 2: 4 exposures to 5 pulses: the camera's trigger cable lost it"
+    )
 
 
 def test_an_exposure_whose_frame_is_missing_is_the_data_cables():
@@ -74,7 +81,7 @@ def test_an_exposure_whose_frame_is_missing_is_the_data_cables():
 def test_an_exposure_between_two_pulses_was_made_by_something_else():
     strobes = [Strobe(number, number * PERIOD_S + 1e-3 + 0.4 * PERIOD_S * (number == 3)) for number in range(COUNT)]
     (fault,) = said(evidence(strobes=strobes))
-    assert fault.startswith("pulse 3: its exposure is off by 0.40 periods: check the shields")
+    assert fault.startswith("pulse 3: its exposure is off by 0.40 periods: no pulse made it")
 
 
 def test_a_frame_by_another_clock_than_its_neighbours_is_named():
@@ -96,14 +103,6 @@ def test_a_clock_that_goes_back_is_not_blamed_on_a_cable(tick_s):
     back = [replace(frame, device_time_s=frame.device_time_s - 3.0) for frame in frames[2:]]
     assert keys([*frames[:2], *back]) == {"clock set back"}
     assert keys(frames) == set()
-
-
-def test_a_busy_computer_is_not_blamed_on_a_cable():
-    """It takes other frames late, too; a cable that loses some delivers the others in time."""
-    there = [frame_of(number) for number in (0, 1, 3, 4)]
-    assert "frames lost" in keys(there) and "computer busy" not in keys(there)
-    late = [*there[:2], *(replace(frame, host_time_s=frame.host_time_s + 0.03) for frame in there[2:])]
-    assert "computer busy" in keys(late) and "frames lost" not in keys(late)
 
 
 def test_frames_that_are_broken_skipped_or_shown_twice():
@@ -159,13 +158,13 @@ def test_a_single_exposure_that_comes_later_than_in_bursts_before():
     seen = replace(seen, ended=TriggerStatus(False, 1, 1, boot=1))
     assert said(seen) == []
     (fault,) = said(replace(seen, strobe_delay_s=1e-3))
-    assert fault.startswith("pulse 0: its exposure is off by 0.40 periods: check the shields")
+    assert fault.startswith("pulse 0: its exposure is off by 0.40 periods: no pulse made it")
 
 
 def test_triggers_that_the_camera_ignored():
     frames = [frame_of(number, triggers=1 + number + 2 * (number > 2)) for number in range(COUNT)]
     (fault,) = said(evidence(frames))
-    assert fault.startswith("pulse 3: the camera ignored 2 triggers before it: make the period longer, or check the")
+    assert fault.startswith("pulse 3: the camera ignored 2 triggers before it: the period is too short")
 
 
 @pytest.mark.parametrize("strobes", [True, False])
@@ -182,3 +181,84 @@ def test_frames_that_arrive_late_are_followed_by_their_numbers_where_exposures_a
     # Frames that come after in their time show that nothing was lost.
     ahead = [frame_of(COUNT, device_time_s=None)]
     assert find_faults(replace(seen, ahead=ahead)) == []
+
+
+ENDED = TriggerStatus(False, COUNT, COUNT, boot=1)
+LATE = [replace(frame, host_time_s=frame.host_time_s + 0.03 * (number > 1)) for number, frame in enumerate(FRAMES)]
+UNWIRED = {"strobe_wired": False, "strobes": None}
+
+
+def but(items, number, **changes):
+    """Return all items, one of them changed or left out."""
+    return [*items[:number], *([replace(items[number], **changes)] if changes else []), *items[number + 1 :]]
+
+
+def clock(number, change_s):
+    """Return frames whose camera's clock is set by a time, s, before one of them."""
+    times = [frame.device_time_s + change_s * (n >= number) for n, frame in enumerate(FRAMES)]
+    return [replace(frame, device_time_s=time_s) for frame, time_s in zip(FRAMES, times, strict=True)]
+
+
+def shown(*levels):
+    """Return the keys of what speaks against the first two frames, and the others, being shown in turns."""
+    frames = [frame_of(number, image=np.full((16, 16, 3), level, np.uint8)) for number, level in enumerate(levels)]
+    pictures = Alternation()
+    return {fault.key for fault in (*pictures.start(frames[:2]), *pictures.check(frames[2:], 2))}
+
+
+#: By their keys: a burst with the fault, and what comes with it; nothing else may be said.
+FAULTS = {
+    "before its exposure": (lambda: keys(but(FRAMES, 0, host_time_s=100.0)), set()),
+    "camera busy": (
+        lambda: keys(FRAMES[::2], strobes=STROBES[::2], count=6, ended=ENDED),
+        {"frame late", "frames lost"},
+    ),
+    "clock set back": (lambda: keys(clock(2, -3.0)), set()),
+    "clock wrapped": (lambda: keys(clock(2, -(2**32) * 1e-6)), set()),
+    "computer busy": (lambda: keys(but(LATE, 2)), {"frame late"}),
+    "exposure off its pulse": (lambda: keys(FRAMES, strobes=but(STROBES, 3, time_s=0.07)), set()),
+    "exposures missing": (lambda: keys(but(FRAMES, 2), strobes=but(STROBES, 2)), {"frame late", "frames lost"}),
+    "frame early": (lambda: keys(clock(2, -0.2 * PERIOD_S)), set()),
+    "frame late": (lambda: keys(clock(2, 0.2 * PERIOD_S)), set()),
+    "frame not whole": (lambda: keys(but(FRAMES, 1, image=None, fault="missing packets")), set()),
+    "frames lost": (lambda: keys(but(FRAMES, 2)), {"frame late"}),
+    "frames missing": (lambda: keys(but(FRAMES, 2), **UNWIRED), {"frame late", "frames lost"}),
+    "frames shifted": (
+        lambda: keys(
+            [replace(frame, device_time_s=None) for frame in LATE], train=replace(TRAIN, count=None), **UNWIRED
+        ),
+        set(),
+    ),
+    "light changed": (lambda: shown(100, 120, 100, 120, 150), set()),
+    "no alternating pictures": (lambda: shown(100, 100, 100, 120), set()),
+    "no frame": (lambda: keys([], **UNWIRED), set()),
+    "no frame, no picture": (
+        lambda: keys([], strobes=[], picture_a_pulse=True, ended=replace(ENDED, strobes=0, vsyncs=0)),
+        {"no frame", "pictures missing"},
+    ),
+    "one level": (lambda: keys([replace(frame, image=np.zeros((4, 4, 3), np.uint8)) for frame in FRAMES]), set()),
+    "picture missing": (lambda: shown(100, 120, 100, 100), set()),
+    "pictures missing": (lambda: keys(FRAMES, picture_a_pulse=True, ended=replace(ENDED, vsyncs=3)), set()),
+    "pulses missing": (lambda: keys(FRAMES, ended=replace(ENDED, pulses=3)), set()),
+    "same frame": (lambda: keys(but(FRAMES, 3, image=FRAMES[2].image)), set()),
+    "slow start": (
+        lambda: keys(
+            FRAMES, counted=start_of(FRAMES, 0, PERIOD_S, (100.0, 100.001)), fired_at_s=(100 - PERIOD_S, 100.0)
+        ),
+        set(),
+    ),
+    "strobe": (lambda: keys(FRAMES, strobes=but(STROBES, 2)), set()),
+    "too many exposures": (lambda: keys(FRAMES, strobes=[*STROBES, Strobe(2, 0.05)]), set()),
+    "too many frames": (lambda: keys([*FRAMES, frame_of(COUNT)]), set()),
+    "trigger complains": (lambda: keys(FRAMES, ended=replace(ENDED, complaints=("an output did not follow",))), set()),
+    "trigger ignored": (lambda: keys([replace(f, triggers=n + 2 * (n > 2)) for n, f in enumerate(FRAMES)]), set()),
+    "trigger restarted": (lambda: keys(FRAMES, ended=replace(ENDED, boot=2)), set()),
+}
+#: What the rig says itself: `tests/system/hardware/test_rig.py`.
+OF_THE_RIG = {"computer behind", "instrument failed", "uneven latency"}
+
+
+@pytest.mark.parametrize("key", sorted({*get_args(FaultKey)} - OF_THE_RIG))
+def test_a_fault_is_named_where_it_is_and_nowhere_else(key):
+    named, with_it = FAULTS[key]
+    assert named() == {key, *with_it}

@@ -17,6 +17,7 @@ from pipeline.calibration.captures import CapturedFolder
 from pipeline.calibration.pose_guide import PoseGuide
 from pipeline.calibration.radiometry import measure_radiometry, radiometry_sequence
 from pipeline.errors import CalibrationError, OutputError
+from pipeline.models import SensorPart
 from pipeline.simulation import simulated_rig
 
 NAMES = radiometry_sequence(FlatStudio.projector_px).names
@@ -171,6 +172,17 @@ def test_captures_of_another_camera_are_not_mixed(tmp_path):
         capture_of(FlatStudio(), tmp_path / "captures")
 
 
+def test_captures_of_another_part_of_the_sensor_are_not_mixed(tmp_path):
+    """Of the same size, which pictures do not show."""
+    studio = FlatStudio()
+    studio.sensor = SensorPart(sensor_px=(99, 80), offset_px=(4, 0), binning=(1, 1))
+    capture_of(studio, tmp_path)[0].check_rig()
+    assert CapturedFolder(tmp_path / POSES, ()).sensor == studio.sensor
+    studio.sensor = studio.sensor.model_copy(update={"offset_px": (8, 0)})
+    with pytest.raises(OutputError, match="holds captures with another part of the sensor"):
+        capture_of(studio, tmp_path)[0].check_rig()
+
+
 @pytest.mark.parametrize(
     ("faults", "exposure_s", "message"),
     [
@@ -178,7 +190,7 @@ def test_captures_of_another_camera_are_not_mixed(tmp_path):
         (StudioFaults(scale=0.93), 1 / 60, "does not show the picture pixel for pixel"),
         (StudioFaults(keystone=0.08), 1 / 60, "does not show the picture pixel for pixel"),
         (StudioFaults(swapped=True), 1 / 60, "the camera's frames are B, G, R"),
-        (StudioFaults(colour_cycle_s=1 / 119), 1 / 47, "white flickers by .* from frame to frame: the exposure is no"),
+        (StudioFaults(colour_cycle_s=1 / 119), 1 / 47, "white flickers by .* from frame to frame: colorphase ex"),
     ],
 )
 def test_a_fault_of_the_rig_is_named_within_a_minute(tmp_path, faults, exposure_s, message):

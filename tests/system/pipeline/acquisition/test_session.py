@@ -1,12 +1,14 @@
 import json
 import signal
 import time
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from support.faulty_rigs import FRAMES, Bench, Faulty, number_in, settings
 
+from hardware import protocols
 from hardware.errors import BurstError, CameraError, RigError
 from pipeline.acquisition import session
 from pipeline.acquisition.capture_folder import CapturePlan
@@ -14,6 +16,7 @@ from pipeline.acquisition.session import Stopping, capture_bursts
 from pipeline.calibration import Calibration
 from pipeline.errors import CalibrationError, OutputError, SettingsError
 from pipeline.footage.opening import open_source
+from pipeline.models import SensorPart
 from pipeline.recording.recorder import Recorder
 from pipeline.settings import DecodeSettings
 from pipeline.simulation import simulated_rig
@@ -66,7 +69,7 @@ def test_bursts_are_recorded_with_their_pulses(tmp_path):
     assert "password" not in start["rig"]["projector"]
     assert end["event"] == "end" and end["frames"] == 3 * FRAMES and end["error"] is None
     (rejected,) = [line for line in log if line["event"] == "rejected"]
-    assert rejected["faults"][0] == "pulse 2: 5 exposures to 6 pulses: check the camera's trigger cable"
+    assert rejected["faults"][0].startswith("pulse 2: 5 exposures to 6 pulses: the camera's trigger cable")
     frames = [line for line in log if line["event"] == "frame"]
     assert all(line["strobe_s"] == pytest.approx(line["pulse_s"]) for line in frames)
     assert all(abs(line["time"] - time.time()) < 60 and line["arrived"] > line["time"] - 0.1 for line in frames)
@@ -184,9 +187,27 @@ def test_a_folder_that_exists_is_left_alone(tmp_path):
     assert [entry.name for entry in tmp_path.iterdir()] == ["mine"]
 
 
+def test_a_capture_knows_the_part_of_the_sensor_and_so_does_its_calibration(tmp_path):
+    part, whole = (SensorPart(sensor_px=(128, 96), offset_px=(x, x), binning=(1, 1)) for x in (8, 0))
+    bench = Bench(settings())
+    opened = bench.open
+
+    def open_and_say():
+        trigger, camera = opened()
+        camera.limits = replace(camera.limits, sensor=protocols.SensorPart(**part.model_dump()))
+        return trigger, camera
+
+    bench.open = open_and_say
+    calibration = simulated_rig((128, 96)).model_copy(update={"sensor": whole})
+    captured(bench, tmp_path / "out", CapturePlan(1), calibration=calibration)
+    assert open_source(tmp_path / "out" / "recording.zarr").sensor == part
+    kept = Calibration.read(tmp_path / "out" / "calibration.json")
+    assert kept.digest() == calibration.cropped(8, 8, (96, 64)).digest()
+
+
 def test_a_calibration_of_another_size_is_refused_before_anything_is_fired(tmp_path):
     bench = Bench(settings())
-    with pytest.raises(CalibrationError, match=r"frames are 96x64 but the calibration is for 64x48: set camera"):
+    with pytest.raises(CalibrationError, match=r"the camera's frame is 96x64 but the calibration is for 64x48: set"):
         captured(bench, tmp_path / "out", CapturePlan(1), calibration=simulated_rig((64, 48)))
     assert not (tmp_path / "out").exists()
     assert "trigger.fire" not in bench.calls

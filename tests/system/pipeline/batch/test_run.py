@@ -24,6 +24,7 @@ from pipeline.decoding.frame import FIELDS
 from pipeline.decoding.front_side import RimVotes
 from pipeline.errors import CalibrationError, FootageError, OutputError, SettingsError
 from pipeline.footage.source import StoredAs
+from pipeline.models import SensorPart
 from pipeline.output.range_image import write_png
 from pipeline.output.store import chosen_fields
 from pipeline.output.stored_result import StoredResult
@@ -554,6 +555,21 @@ def test_a_region_of_interest_has_the_same_points(job, rig, folder):
     apart = np.linalg.norm(group["points"][0] - frame.points[cut], axis=-1)[both]
     assert np.median(apart / frame.point_sigma[cut][both]) < 1
     assert group.attrs["region_of_interest"] == {"x": 24, "y": 12, "width": 80, "height": 64}
+
+
+def test_a_recording_of_a_part_of_the_sensor_is_decoded_by_the_calibration_of_all_of_it(job, folder, rig, tmp_path):
+    """To the same points, bit by bit, as that part of the whole frame."""
+    frames = zarr.open_group(folder / "film.zarr", mode="r")["frames"]
+    whole, part = (SensorPart(sensor_px=(128, 96), offset_px=at, binning=(1, 1)) for at in ((0, 0), (24, 12)))
+    with Recorder(tmp_path / "part.zarr", PixelFormat("rgb"), sensor=part) as recorder:
+        recorder.add(np.ascontiguousarray(frames[0][12:76, 24:104]))
+    job = replace(job, calibration=rig.model_copy(update={"sensor": whole}), fields=("mask", "points", "point_sigma"))
+    cut = replace(job, crop=Crop(24, 12, 80, 64), store=str(tmp_path / "cut.zarr"))
+    decode_footage(cut, stop=1)
+    decode_footage(replace(job, footage=str(tmp_path / "part.zarr")))
+    cut, of_part = (zarr.open_group(store, mode="r")["points"][0] for store in (cut.store, job.store))
+    assert np.isfinite(cut).mean() > 0.4
+    np.testing.assert_array_equal(of_part, cut)
 
 
 def test_regions_of_interest_that_are_none(job, rig):

@@ -21,6 +21,7 @@ from pipeline.cli.main import command_line
 from pipeline.cli.project import BoardOptions
 from pipeline.errors import SettingsError
 from pipeline.footage.image_file import read_image
+from pipeline.models import SensorPart
 from pipeline.output.range_image import write_png
 from pipeline.recording.recorder import Recorder
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
@@ -143,7 +144,8 @@ def posed(monkeypatch):
             type(pose)(**{**pose.__dict__, "corners_mm": pose.corners_mm * (board.square_mm / true_mm)})
             for pose in seen
         ]
-        return MeasuredPoses(said, ("pose_99: no board is seen",), CAMERA_PX)
+        part = SensorPart(sensor_px=(2000, 1500), offset_px=(8, 6), binning=(1, 1))
+        return MeasuredPoses(said, ("pose_99: no board is seen",), CAMERA_PX, part)
 
     monkeypatch.setattr(calibrate, "measure_poses", measured)
 
@@ -158,7 +160,8 @@ def test_a_verdict_follows_the_figures(posed, command, tmp_path):
     assert scale == "scale proven by the second board; camera and projector stand 180.0 mm apart"
     assert wrote == "wrote rig.json and rig-geometry.png"
     assert (tmp_path / "rig-geometry.png").read_bytes().startswith(b"\x89PNG")
-    assert json.loads((tmp_path / "rig.json").read_text())["scale_proof"] == "second board"
+    found = json.loads((tmp_path / "rig.json").read_text())
+    assert found["scale_proof"] == "second board" and found["sensor"]["offset_px"] == [8, 6]
 
 
 def test_a_picture_that_cannot_be_written_is_one_line(posed, command, tmp_path):

@@ -9,6 +9,7 @@ import pytest
 
 from pipeline.cli import start
 
+NEEDS_A_FULL_DISK = pytest.mark.skipif(not os.path.exists("/dev/full"), reason="this system has no /dev/full")
 # In place of the command line, a module that takes long to import and catches whatever is raised meanwhile.
 PROGRAM = """
 import sys, time
@@ -59,25 +60,48 @@ def test_linear_algebra_has_one_thread_unless_the_user_wants_more(monkeypatch):
     assert [os.environ[name] for name in names] == ["1", "3", "1"]
 
 
-@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="this system has no disk that is always full")
-@pytest.mark.parametrize("words", [["--version"], ["--help"], ["verify", "--help"], ["settings", "s.toml"]])
-def test_a_result_that_cannot_be_written_is_one_line(tmp_path, words):
+def run(words, streams, folder):
+    """Run a command whose standard streams a shell has closed or sent elsewhere."""
     program = f"import sys; from pipeline.cli.start import main; sys.argv = ['colorphase', *{words}]; main()"
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    with open("/dev/full", "w") as full:
-        done = subprocess.run(
-            [sys.executable, "-c", program],
-            stdout=full,
-            stderr=subprocess.PIPE,
-            text=True,
-            cwd=tmp_path,
-            env=environment,
-        )
-    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
+    return subprocess.run(
+        ["sh", "-c", f'exec "$0" -c "$1" {streams}', sys.executable, program],
+        capture_output=True,
+        text=True,
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+    )
+
+
+@NEEDS_A_FULL_DISK
+@pytest.mark.parametrize("streams", [">/dev/full", ">&-", "<&- >&-"])
+@pytest.mark.parametrize("words", [["--version"], ["--help"], ["verify", "--help"], ["settings", "s.toml"]])
+def test_a_result_that_cannot_be_written_is_one_line(tmp_path, words, streams):
+    done = run(words, streams, tmp_path)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (1, "", 1)
     assert done.stderr.startswith("error: cannot write to standard output: ")
+    assert "settings" not in words or (tmp_path / "s.toml").read_text().startswith("#")
 
 
-@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="this system has no disk that is always full")
+@NEEDS_A_FULL_DISK
+@pytest.mark.parametrize(
+    ("words", "streams", "code"),
+    [
+        (["--version"], ">&- 2>&-", 1),
+        (["--version"], "2>&-", 0),
+        (["settings", "s.toml"], ">&- 2>&-", 1),
+        (["settings", "s.toml"], ">/dev/full 2>/dev/full", 1),
+        (["settings", "s.toml"], "<&- 2>&-", 0),
+        (["verify", "none"], "2>&-", 1),
+        (["verify", "--none"], "2>/dev/full", 1),
+    ],
+)
+def test_without_standard_error_the_exit_code_tells(tmp_path, words, streams, code):
+    done = run(words, streams, tmp_path)
+    assert (done.returncode, done.stderr, bool(done.stdout)) == (code, "", code == 0)
+    assert "settings" not in words or (tmp_path / "s.toml").read_text().startswith("#")
+
+
+@NEEDS_A_FULL_DISK
 def test_a_remark_that_cannot_be_written_ends_nothing():
     program = "from pipeline.cli.console import remark, say; remark('a'); say('b')"
     with open("/dev/full", "w") as full:

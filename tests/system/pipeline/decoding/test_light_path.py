@@ -1,6 +1,5 @@
 """What is known of the light: settings win over the calibration, and that over what a frame tells."""
 
-import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -108,15 +107,6 @@ def test_what_a_frame_shows_of_a_code_is_as_if_it_were_stated(known):
     late.use_code(None)
     np.testing.assert_allclose(late.crosstalk.matrix, NORMAL, atol=1e-6)
     assert late.light_known and not late.unknown
-
-
-def test_settings_that_contradict_what_was_measured_are_named_and_not_the_camera():
-    before = rig(capture=CameraState(transfer="srgb"))
-    for settings, keys in ((DecodeSettings(transfer="linear"), ["transfer"]), (DecodeSettings(), [])):
-        with warnings.catch_warnings(record=True) as said:
-            warnings.simplefilter("always")
-            LightPath(settings, before)
-        assert [warning.message.args[0].key for warning in said] == keys
 
 
 def test_a_camera_that_stands_otherwise():

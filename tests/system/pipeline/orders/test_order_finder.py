@@ -41,15 +41,6 @@ def carried(**values):
     return CarriedOrders(same_scene=True, change=still, **{name: np.array(value) for name, value in values.items()})
 
 
-def test_a_pattern_far_beside_the_view_is_refused():
-    """A phase of millions of radians is none."""
-    rig = simulated_rig()
-    far = rig.model_copy(update={"translation_mm": np.array([0.0, 1e8, 0.0])}).geometry()
-    OrderFinder(None, rig.geometry(), (500.0, 1500.0))
-    with pytest.raises(CalibrationError, match=r"^at 1000 mm, where the object is expected, the camera looks far past"):
-        OrderFinder(None, far, (500.0, 1500.0))
-
-
 def test_nothing_told_is_nothing_known():
     orders = placement().region_orders(patches({}), REGIONS, None)
     assert orders.known.tolist() == [False] * 4

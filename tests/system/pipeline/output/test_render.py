@@ -152,7 +152,7 @@ def test_what_a_mesh_does_not_have(tmp_path: Path, mesh: Mesh, options: Any, sai
 def test_what_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RenderError, match="mesh has 3200 points and no faces: give one of triangles"):
         render_mesh(EMPTY, tmp_path / "picture.png")
-    with pytest.raises(RenderError, match="mesh is empty: decode the frame again"):
+    with pytest.raises(RenderError, match="mesh has no point: give another file"):
         render_mesh(Mesh(EMPTY.vertices[:0], EMPTY.faces), tmp_path / "picture.png")
     with pytest.raises(OutputError, match=r"a still picture, in which no eye moves: name it \.mp4"):
         render_mesh(dome(), tmp_path / "picture.png", PictureOptions(turn_deg=10))

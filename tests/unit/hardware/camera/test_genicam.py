@@ -16,7 +16,7 @@ from hardware.camera.genicam import (
 )
 from hardware.camera.opened_camera import Setup
 from hardware.errors import CameraError, RigError
-from hardware.protocols import CameraLimits, FrameFormat
+from hardware.protocols import CameraLimits, FrameFormat, SensorPart
 from hardware.settings import CameraSettings
 
 SETTINGS = CameraSettings(driver="aravis", exposure_s=2e-3, trigger="Line1")
@@ -120,7 +120,14 @@ def test_order():
         "TriggerMode=On",
     ]
     assert setup == Setup(
-        CameraLimits((1920, 1200), FrameFormat("bayer", 12, "rggb"), (20e-6, 1.0), min_period_s=0.02, triggered=True),
+        CameraLimits(
+            (1920, 1200),
+            FrameFormat("bayer", 12, "rggb"),
+            (20e-6, 1.0),
+            min_period_s=0.02,
+            triggered=True,
+            sensor=SensorPart(sensor_px=(1920, 1200), offset_px=(0, 0), binning=(1, 1)),
+        ),
         exposure_s=2e-3,
         unlocked=(),
         swapped=False,
@@ -144,6 +151,15 @@ def test_part_in_the_middle():
     setup = set_up(node_map, SETTINGS.model_copy(update={"size_px": (640, 482)}))
     assert setup.limits.size_px == (640, 482)
     assert (node_map.get("OffsetX"), node_map.get("OffsetY")) == (640, 358)
+    assert setup.limits.sensor == SensorPart(sensor_px=(1920, 1200), offset_px=(640, 358), binning=(1, 1))
+
+
+def test_the_part_of_the_sensor_is_what_the_camera_reads_back_or_unknown():
+    small = SETTINGS.model_copy(update={"size_px": (640, 482)})
+    stays = camera(OffsetX=Feature(8, step=4, ignores_changes=True))
+    assert set_up(stays, small).limits.sensor == SensorPart(sensor_px=(1920, 1200), offset_px=(8, 358), binning=(1, 1))
+    assert set_up(without("OffsetX"), small).limits.sensor is None
+    assert set_up(without("OffsetX"), SETTINGS).limits.sensor.offset_px == (0, 0)
 
 
 @pytest.mark.parametrize(

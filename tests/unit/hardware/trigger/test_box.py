@@ -173,7 +173,7 @@ def test_a_lost_answer_is_asked_for_once_more():
         assert box.status().pulses == 3
         assert box.status().pulses == 3
         started_s = time.monotonic()
-        with pytest.raises(TriggerError, match="does not answer 'STATUS': is it still on"):
+        with pytest.raises(TriggerError, match="does not answer 'STATUS': check its power"):
             box.status()
         assert time.monotonic() - started_s < 1
 
@@ -191,8 +191,8 @@ def test_a_lost_answer_is_asked_for_once_more():
         ([("ID", NAME), ("LIMITS", LIMITS.replace("=400", "=" + "9" * 400))], "instead of min_period: flash its"),
         ([("ID", NAME), ("LIMITS", LIMITS.replace("100 ", "x "))], "instead of min_width: flash its firmware anew"),
         ([("ID", "ERR COMMAND unknown")], "refuses 'ID': COMMAND unknown"),
-        ([("ID", "")], "no trigger box answers: is it in, flashed"),
-        ([("ID", "?1\r\n")], r"no trigger box answers, but hears '\?1': is it in, flashed"),
+        ([("ID", "")], "no trigger box answers: check its cable"),
+        ([("ID", "?1\r\n")], r"no trigger box answers, but hears '\?1': check its cable"),
         ([("ID", line("001 ID"))], "no trigger box answers"),  # an echo
     ],
 )

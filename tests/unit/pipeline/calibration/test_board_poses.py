@@ -10,8 +10,10 @@ from support.slide_shows import film
 from pipeline.calibration import board_poses
 from pipeline.calibration.board import Board
 from pipeline.calibration.board_poses import PictureEvidence, edge_blur_px, measure_pose, measure_poses
+from pipeline.calibration.captures import CapturedFolder
 from pipeline.calibration.multishot import multishot_sequence
 from pipeline.errors import CalibrationError, FootageError
+from pipeline.models import SensorPart
 from pipeline.output.range_image import write_png
 from pipeline.recording.recorder import Recorder
 from tikernels.raw.pixel_format import PixelFormat
@@ -75,9 +77,9 @@ def test_corners_of_one_pose(board, of_charuco, of_chessboard):
     ("options", "message"),
     [
         ({"mirror": True}, "mirrored"),
-        ({"place": (400.0, 0.0, 900.0)}, "9x6 charuco is seen|hardly a pixel|hardly brighter"),
+        ({"place": (400.0, 0.0, 900.0)}, "9x6 charuco is seen|px see the fringes|hardly brighter"),
         ({"hide": (slice(None), slice(100, None))}, "corners are seen|9x6 charuco is seen"),
-        ({"blur_px": 9.0}, "washed out"),
+        ({"blur_px": 9.0}, "of white's light: focus"),
     ],
 )
 def test_refused_captures(options, message):
@@ -131,6 +133,17 @@ def test_too_few_poses_are_refused_with_the_first_reason(tmp_path):
         measure_poses(tmp_path, BOARD, SIZE)
 
 
+def test_poses_of_two_parts_of_the_sensor_are_refused(tmp_path, monkeypatch):
+    poses = []
+    for x, name in enumerate("ab"):
+        capture(tmp_path / name)
+        poses.append((name, CapturedFolder(tmp_path / name, multishot_sequence(SIZE).names)))
+        poses[x][1].sensor = SensorPart(sensor_px=(99, 80), offset_px=(x, 0), binning=(1, 1))
+    monkeypatch.setattr(board_poses, "find_poses", lambda *place: poses)
+    with pytest.raises(CalibrationError, match=r"^b shows another part of the sensor than the poses before"):
+        measure_poses(tmp_path, BOARD, SIZE)
+
+
 def test_a_pose_in_a_recording_is_the_one_in_a_folder(tmp_path, of_chessboard):
     """In a recording without names, with other things before and after, to what noise moves corners."""
     pictures = list(of_chessboard.values())
@@ -138,12 +151,13 @@ def test_a_pose_in_a_recording_is_the_one_in_a_folder(tmp_path, of_chessboard):
     for name, picture in of_chessboard.items():
         write_png(tmp_path / "named" / f"{name}.png", picture)
     frames, _ = film([pictures[7], *pictures, pictures[3]], 1, dwell=(3.5, 5.0), noise=1.0)
-    with Recorder(tmp_path / "show.zarr", PixelFormat("rgb")) as recorder:
+    part = SensorPart(sensor_px=(2000, 1500), offset_px=(1, 2), binning=(1, 1))
+    with Recorder(tmp_path / "show.zarr", PixelFormat("rgb"), sensor=part) as recorder:
         for frame in frames:
             recorder.add(frame)
-    named, recorded = (
-        measure_poses(tmp_path / place, CHESSBOARD, PROJECTOR_PX, least=1).poses[0] for place in ("named", "show.zarr")
-    )
+    both = [measure_poses(tmp_path / place, CHESSBOARD, PROJECTOR_PX, least=1) for place in ("named", "show.zarr")]
+    assert [measured.sensor for measured in both] == [None, part]
+    named, recorded = (measured.poses[0] for measured in both)
     assert (named.name, recorded.name) == ("named", "show.zarr")
     assert len(named.camera_px) == len(CHESSBOARD.corners_mm())
     np.testing.assert_allclose(recorded.camera_px, named.camera_px, atol=0.1)

@@ -5,6 +5,7 @@ import json
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from pipeline.calibration.captures import (
     CapturedFolder,
@@ -15,6 +16,7 @@ from pipeline.calibration.captures import (
 )
 from pipeline.errors import CalibrationError, OutputError
 from pipeline.footage.image_file import read_image
+from pipeline.models import SensorPart
 
 SEQUENCE = PictureSequence(kind="radiometry", size_px=(6, 4), names=("00-black", "01-red"))
 
@@ -67,6 +69,38 @@ def test_captures_may_be_tiff_and_each_is_read_when_asked_for(tmp_path):
 def test_a_missing_capture_is_named(tmp_path):
     with pytest.raises(CalibrationError, match=r"lacks the capture 00-black\.png and 1 more"):
         CapturedFolder(tmp_path, SEQUENCE.names)
+
+
+def test_captures_are_of_the_part_of_the_sensor_that_their_session_says(tmp_path):
+    part = SensorPart(sensor_px=(99, 80), offset_px=(4, 7), binning=(2, 1))
+    pose = tmp_path / "poses" / "pose-01"
+    pose.mkdir(parents=True)
+    assert CapturedFolder(pose, ()).sensor is None
+    session = tmp_path / "session.json"
+    for said, found in (({}, None), ({"part of the sensor": part.model_dump()}, part)):
+        session.write_text(json.dumps(said))
+        assert CapturedFolder(pose, ()).sensor == CapturedFolder(pose.parent, ()).sensor == found
+    for text in ("[", "[]", '{"part of the sensor": 1}'):
+        session.write_text(text)
+        with pytest.raises(CalibrationError, match=r"session\.json"):
+            CapturedFolder(pose, ())
+
+
+def test_captures_that_are_turned_otherwise_are_named(tmp_path):
+    """Within a pose and between poses: turned by 180 degrees, which their size does not show."""
+    orientations = []
+    for pose, second in (("a", 1), ("b", 3)):
+        (tmp_path / pose).mkdir()
+        for name, orientation in (("00-black", 1), ("01-red", second)):
+            tags = Image.Exif()
+            tags[274] = orientation
+            Image.new("RGB", (6, 4)).save(tmp_path / pose / f"{name}.png", exif=tags)
+        captures = CapturedFolder(tmp_path / pose, SEQUENCE.names, orientations)
+        assert captures["00-black"].shape == (4, 6, 3)
+    with pytest.raises(CalibrationError, match=r"01-red\.png: its Exif orientation is 3, the first has 1"):
+        captures["01-red"]
+    with pytest.raises(CalibrationError, match=r"00-black\.png: its Exif orientation is 1, the first has 3"):
+        CapturedFolder(tmp_path / "a", SEQUENCE.names, [3])["00-black"]
 
 
 def test_captures_of_two_cameras_do_not_mix(tmp_path):

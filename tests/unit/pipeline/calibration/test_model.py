@@ -10,6 +10,7 @@ from pipeline import Calibration
 from pipeline.calibration import ColorShift, Pattern
 from pipeline.calibration.model import choose_pattern
 from pipeline.errors import CalibrationError, SettingsError
+from pipeline.models import SensorPart
 from pipeline.simulation import simulated_rig
 
 LENS = simulated_rig().model_dump(mode="json")["camera"]
@@ -115,6 +116,43 @@ def test_a_distorted_ray_comes_back_to_its_pixel(distortion):
     np.testing.assert_allclose(pixels[:, 0], np.stack([x.ravel(), y.ravel()], axis=1), atol=1e-3)
 
 
+@pytest.mark.parametrize(
+    "distortion",
+    [
+        (-1.6, 0.0, 0.0, 0.0),
+        (-2.2, 0.8, 0.0, 0.0, 0.0),
+        (-0.1, 0.0, 0.0, 0.0, -60.0),
+        (-1.8, 0.0, 0.0, 0.0, 0.0, 0.3, 0.0, 0.0),
+        (-2.0, *[0.0] * 11),
+        (-1.8, 0.0, 0.0, 0.0, 0.0, 0.3, *[0.0] * 8),
+        (3.0, 0.0, 0.0, 0.0, 0.0),
+    ],
+)
+def test_a_lens_that_folds_has_no_rays_beyond(distortion):
+    """All others are those of the exact radial function before its first turn."""
+    lens = simulated_rig((128, 96), camera_distortion=distortion).camera
+    k1, k2, _, _, k3, k4, *_ = np.append(distortion, np.zeros(2))
+    radius = np.linspace(0, 3, 300001)
+    bent = radius * (1 + radius**2 * (k1 + radius**2 * (k2 + radius**2 * k3))) / (1 + k4 * radius**2)
+    turn = np.flatnonzero(np.append(np.diff(bent) <= 0, True))[0]
+    y, x = np.mgrid[:96, :128]
+    place = (np.stack([x, y], axis=-1) - lens.matrix[:2, 2]) / lens.matrix[[0, 1], [0, 1]]
+    there = np.hypot(*place.T).T
+    expected = np.interp(there, bent[: turn + 1], radius[: turn + 1], right=np.nan)
+    found = np.hypot(*lens.rays().T).T
+    blind = np.isnan(expected)
+    assert blind.mean() == 0 if distortion[0] > 0 else 0.005 < blind.mean() < 0.3
+    assert np.isnan(found[blind]).all()
+    # At the fold itself a step of the picture is no step of the ray, and which pixel is the last is a matter of digits.
+    assert not np.isnan(found[there < 0.999 * bent[turn]]).any()
+    assert np.nanmax(np.abs(found - expected)) < 1e-4
+
+
+def test_a_lens_that_folds_everywhere_is_refused():
+    with pytest.raises(CalibrationError, match="no lens bends light like this one: its distortion"):
+        simulated_rig((64, 48), camera_distortion=(-1e4, 0, 0, 0, 0)).camera.rays()
+
+
 def test_coefficients_that_are_zero_change_nothing():
     """Files of 4, 8 and 14 numbers hold the lens, and the digest, of the same five."""
     short = simulated_rig(camera_distortion=(-0.2, 0.05, 1e-3, -1e-3))
@@ -137,27 +175,6 @@ def test_a_point_on_the_projectors_axis_has_the_phase_of_its_middle(stripes):
     assert cycles == pytest.approx(rig.projector.matrix[axis, 2] / 16)
 
 
-@pytest.mark.parametrize(
-    ("size_px", "key"),
-    [
-        ((24, 32), "on its side"),
-        ((1024, 768), "swapped"),
-        ((16, 12), "binned"),
-        ((32, 12), "binned"),
-        ((128, 96), "calibrated binned"),
-        ((20, 24), "cropped"),
-        ((40, 30), "another camera"),
-        ((40, 20), "another camera"),
-    ],
-)
-def test_a_frame_of_another_size_is_refused_by_what_its_size_can_be(size_px, key):
-    geometry = simulated_rig((32, 24)).geometry()
-    geometry.check_frame((32, 24))
-    with pytest.raises(CalibrationError, match="a.png is {}x{} but the calibration is for 32x24".format(*size_px)) as e:
-        geometry.check_frame(size_px, "a.png")
-    assert e.value.args[0].key == key
-
-
 def test_a_binned_pixel_looks_where_the_middle_of_its_pixels_did():
     rig = simulated_rig((64, 48), camera_distortion=(-0.2, 0.05, 1e-3, -1e-3, 0.0))
     binned = rig.binned(2, 3)
@@ -170,6 +187,60 @@ def test_a_crop_looks_where_the_whole_frame_looked():
     rig = simulated_rig((64, 48), camera_distortion=(-0.2, 0.0, 0.0, 0.0, 0.0))
     part = rig.cropped(20, 8, (30, 16)).camera.rays()
     np.testing.assert_allclose(part, rig.camera.rays()[8:24, 20:50], atol=1e-6)
+
+
+def part(x, y, binning=(1, 1), sensor_px=(100, 80)):
+    return SensorPart(sensor_px=sensor_px, offset_px=(x, y), binning=binning)
+
+
+WHOLE = simulated_rig((64, 48), camera_distortion=(-0.2, 0.05, 1e-3, -1e-3)).model_copy(update={"sensor": part(10, 6)})
+
+
+@pytest.mark.parametrize(
+    ("size_px", "now", "columns", "rows"),
+    [
+        ((64, 48), part(10, 6), 10 + np.arange(64), 6 + np.arange(48)),
+        ((30, 20), part(12, 9), 12 + np.arange(30), 9 + np.arange(20)),
+        ((20, 10), part(14, 7, (2, 3)), 14.5 + 2 * np.arange(20), 8 + 3 * np.arange(10)),
+    ],
+)
+def test_a_calibration_follows_the_part_of_the_sensor_that_is_read_out(size_px, now, columns, rows):
+    """Every pixel looks where the same place of the sensor did, and so do parts of the part."""
+    found = WHOLE.as_read_out(size_px, now)
+    assert (found.camera.size_px, found.sensor) == (size_px, now)
+    places = np.stack(np.meshgrid(columns - 10, rows - 6), axis=-1).reshape(-1, 2).astype(np.float64)
+    np.testing.assert_allclose(found.camera.rays().reshape(-1, 2), WHOLE.camera.rays_through(places), atol=1e-6)
+    x, y = now.binning
+    again = WHOLE.as_read_out((9, 7), part(now.offset_px[0] + x, now.offset_px[1] + 2 * y, now.binning))
+    assert again.digest() == found.cropped(1, 2, (9, 7)).digest()
+
+
+@pytest.mark.parametrize(
+    ("size_px", "now", "key"),
+    [
+        ((64, 48), part(12, 6), "not calibrated"),  # of the same size, elsewhere
+        ((64, 48), part(8, 6), "not calibrated"),
+        ((30, 20), part(10, 6, sensor_px=(120, 80)), "another sensor"),
+        ((40, 20), part(10, 6, (2, 2)), "not calibrated"),
+    ],
+)
+def test_frames_of_what_was_not_calibrated_are_refused(size_px, now, key):
+    with pytest.raises(CalibrationError, match=r"a\.zarr is .* but the calibration is for 64x48 on a sensor of") as e:
+        WHOLE.as_read_out(size_px, now, "a.zarr")
+    assert e.value.args[0].key == key
+
+
+def test_a_finer_calibration_cannot_be_made_and_nothing_is_guessed():
+    binned = WHOLE.binned(2, 2)
+    assert binned.sensor == part(10, 6, (2, 2))
+    with pytest.raises(CalibrationError, match="or calibrate all of the sensor without binning"):
+        binned.as_read_out((20, 20), part(10, 6))
+    with pytest.raises(CalibrationError, match="binned 2x2"):
+        binned.as_read_out((20, 20), part(11, 6, (2, 2)))
+    for known, now in ((WHOLE, None), (WHOLE.model_copy(update={"sensor": None}), part(12, 6))):
+        assert known.as_read_out((64, 48), now) is known
+        with pytest.raises(CalibrationError, match="its sides are 2x2 times smaller"):
+            known.as_read_out((32, 24), now)
 
 
 def test_lateral_colour_of_the_projector_is_a_lag_of_the_phase():

@@ -7,7 +7,7 @@ import zlib
 import cv2
 import numpy as np
 import pytest
-from PIL import Image, ImageCms  # of matplotlib's own dependencies
+from PIL import Image, ImageCms, PngImagePlugin  # of matplotlib's own dependencies
 
 from pipeline.footage.image_file import read_image
 from pipeline.footage.opening import open_source
@@ -55,6 +55,35 @@ def stored(shown, orientation):
     }
     turn[8] = "ROTATE_270"
     return Image.fromarray(shown).transpose(getattr(Image.Transpose, turn[orientation])) if orientation > 1 else shown
+
+
+def with_xmp(kind, orientation_there, **options):
+    """Return a file whose XMP has an orientation, written as attribute or as element."""
+    words = f'tiff:Orientation="{orientation_there}"'
+    if orientation_there % 2:
+        words = f"><tiff:Orientation>{orientation_there}</tiff:Orientation"
+    xmp = f'<rdf:Description xmlns:tiff="http://ns.adobe.com/tiff/1.0/" {words}/>'
+    if kind == "PNG":
+        options["pnginfo"] = PngImagePlugin.PngInfo()
+        options["pnginfo"].add_itxt("Software", "any")
+        options["pnginfo"].add_itxt("XML:com.adobe.xmp", xmp)
+    elif kind == "TIFF":
+        options["tiffinfo"] = {700: xmp.encode()}
+    else:
+        options["xmp"] = xmp.encode()
+    return saved(kind, **options)
+
+
+@pytest.mark.parametrize("kind", ["JPEG", "PNG", "TIFF", "WEBP"])
+def test_xmp_says_how_the_camera_was_held_where_exif_does_not(kind):
+    for orientation in (1, 3, 6):
+        assert read_tags(with_xmp(kind, orientation)).orientation == orientation
+    for nonsense in (0, 9):
+        assert read_tags(with_xmp(kind, nonsense)).orientation == 1
+    assert read_tags(saved(kind)).orientation == 1
+    if kind != "TIFF":  # whose Exif orientation is its own
+        assert read_tags(with_xmp(kind, 6, exif=exif(1))).orientation == 1
+        assert read_tags(with_xmp(kind, 6, exif=exif(8))).orientation == 8
 
 
 @pytest.mark.parametrize("kind", ["JPEG", "PNG", "TIFF", "WEBP"])

@@ -39,6 +39,21 @@ def test_each_page_is_a_frame(tmp_path, options):
         np.testing.assert_array_equal(frame.planes[0], PAGES[number])
 
 
+@pytest.mark.parametrize(
+    ("most", "level", "bits"),
+    [(4095, 4095, 12), (16383, 16000, 14), (1023, 1000, 10), (16383, 16384, None), (9, 9, 12)],
+)
+def test_its_largest_level_names_how_many_bits_a_camera_may_have(tmp_path, most, level, bits):
+    """Where no level is above it: it is no full scale, and so nothing is scaled by it."""
+    picture = PAGES[0] >> 7
+    picture[0, 0] = level
+    path = written(tmp_path, tiff((picture, {"extratags": [(281, "H", 3, (most,) * 3, True)]})))
+    source = open_source(path)
+    assert source.format.bits == 16
+    ends = f"is above {2 ** (bits or 0) - 1}: if the camera gives {bits}, add --bits {bits}"
+    assert source.notes == () if bits is None else source.notes[0].endswith(ends)
+
+
 def test_smaller_versions_and_masks_are_no_frames(tmp_path):
     small = (PAGES[0, ::4, ::4], {"subfiletype": 1})
     mask = (PAGES[0, ..., 0] > 9, {"subfiletype": 4, "photometric": "minisblack"})

@@ -112,6 +112,15 @@ def test_an_older_zarr_is_no_recording(tmp_path):
         open_source(tmp_path / "old.zarr")
 
 
+def test_a_part_of_the_sensor_that_is_none(tmp_path):
+    record(tmp_path / "a.zarr")
+    group = zarr.open_group(tmp_path / "a.zarr")
+    said = {"sensor_px": [99, 80], "offset_px": [-1, 0], "binning": [1, 1]}
+    group.attrs["colorphase_recording"] = group.attrs["colorphase_recording"] | {"sensor": said}
+    with pytest.raises(FootageError, match=r"a\.zarr is damaged: sensor: offset_px\.0: must be .*, got -1"):
+        open_source(tmp_path / "a.zarr")
+
+
 def test_a_recording_may_be_copied(tmp_path):
     frames = record(tmp_path / "a.zarr")
     shutil.move(tmp_path / "a.zarr", tmp_path / "renamed folder")

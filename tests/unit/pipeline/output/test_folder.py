@@ -10,7 +10,7 @@ import zarr
 from support.stored_planes import store
 
 from pipeline.errors import OutputError
-from pipeline.output.folder import changed_files, output_folder
+from pipeline.output.folder import changed_files, file_mark, output_folder
 
 
 def names(folder):
@@ -135,11 +135,25 @@ def test_a_report_does_not_choose_what_is_read(tmp_path, name):
     os.mkfifo(out / "pipe")
     (out / "link").symlink_to("/dev/zero")
     report = json.loads((out / "report.json").read_text())
-    report["files_sha256"] |= {name: hashlib.sha256(b"secret").hexdigest()}
+    report["files"] |= {name: file_mark(tmp_path / "secret")}
     (out / "report.json").write_text(json.dumps(report))
     assert set(changed_files(out)) <= {name}
     with pytest.raises(OutputError, match=r"holds something else \((link|pipe)"):
         written(out)
+
+
+def test_a_file_of_another_length_is_not_read(tmp_path, monkeypatch):
+    written(tmp_path)
+    os.truncate(tmp_path / "mesh.ply", 2**36)
+
+    def digest(file, kind):
+        assert os.fstat(file.fileno()).st_size < 2**30
+        return hashlib.sha256(file.read())
+
+    monkeypatch.setattr(hashlib, "file_digest", digest)
+    assert changed_files(tmp_path) == ["mesh.ply"]
+    with pytest.raises(OutputError, match=r"mesh\.ply has been changed since we wrote it"):
+        written(tmp_path)
 
 
 @pytest.mark.skipif(os.name == "nt", reason="this system has no pipes among its files")

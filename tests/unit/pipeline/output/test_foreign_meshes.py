@@ -1,7 +1,9 @@
 """Meshes that other programs have written: what they hold, and that they are not mistaken for ours."""
 
 import io
+import json
 import struct
+from base64 import b64encode
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,8 +17,10 @@ from pipeline.output.formats.camera_grids import decode_pcd, encode_pcd
 from pipeline.output.formats.table import FORMATS, encode_as
 from pipeline.output.mesh import Mesh
 from pipeline.output.mesh_files import read_mesh, read_placed, write_mesh
+from tikernels.raw.linearization import srgb_values
 
-#: Two triangles as MeshLab, Open3D, PCL, trimesh, meshio and plyfile have written them; and points as PCL has.
+#: Two triangles as MeshLab, CloudCompare 2.11, Blender 5.0, Open3D, PCL, trimesh, meshio and plyfile have written them;
+#: and points as PCL has.
 FOREIGN = Path(__file__).parents[3] / "support" / "foreign"
 CORNERS = np.array([[[0, 0, 0], [1, 0, 0], [1, 2, 0]], [[0, 0, 0], [1, 2, 0], [0, 2, 3]]], np.float32)
 # Each of these formats' colours, by the vertex at the place.
@@ -42,10 +46,67 @@ def test_other_programs_meshes_are_read(path: Path) -> None:
     else:
         corners = CORNERS
     np.testing.assert_array_equal(triangles, corners)
-    if path.name.startswith(("meshio", "meshlab.obj")) or path.suffix == ".stl":
+    if path.name.startswith(("meshio", "meshlab.obj", "cloudcompare.obj")) or path.suffix == ".stl":
         return
+    cut = int(path.name == "blender.ply")  # its colours are cut to whole levels
     for place, color in zip(mesh.vertices.astype(int).tolist(), mesh.colors, strict=True):
-        assert tuple(color) == COLORS[tuple(place)]
+        np.testing.assert_allclose(color, COLORS[tuple(place)], atol=cut, rtol=0)
+    if mesh.normals is not None:
+        across = np.cross(*np.diff(triangles, axis=1).swapaxes(0, 1)).astype(np.float64)
+        turns = np.einsum("fk,fvk->fv", across, mesh.normals[mesh.faces].astype(np.float64))
+        assert (turns > 0).all() and np.allclose(np.linalg.norm(mesh.normals, axis=1), 1, atol=1e-3)
+
+
+def gltf(primitive: dict[str, object], node: dict[str, object], colors: bytes, kind: int, generator: str = "") -> bytes:
+    """Return the two triangles as a glTF file, as small as the standard allows, with colours of a type."""
+    vertices = np.unique(CORNERS.reshape(-1, 3), axis=0)
+    faces = [int(np.flatnonzero((vertices == corner).all(axis=1))[0]) for corner in CORNERS.reshape(-1, 3)]
+    blocks = [vertices.tobytes(), np.array(faces, "<u2").tobytes(), colors]
+    starts = np.cumsum([0, *map(len, blocks)]).tolist()
+    accessors = [(5126, 4, "VEC3", False), (5123, 6, "SCALAR", False), (kind, 4, "VEC4", kind != 5126)]
+    attributes = {"POSITION": 0, "COLOR_0": 2}
+    said = {
+        "asset": {"version": "2.0", "generator": generator},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0, **node}],
+        "meshes": [{"primitives": [{"attributes": attributes, "indices": 1, **primitive}]}],
+        "materials": [{}],
+        "buffers": [{"byteLength": starts[-1], "uri": "data:;base64," + b64encode(b"".join(blocks)).decode()}],
+        "bufferViews": [
+            {"buffer": 0, "byteOffset": at, "byteLength": len(block)} for at, block in zip(starts, blocks, strict=False)
+        ],
+        "accessors": [
+            {"bufferView": i, "componentType": part, "count": count, "type": form, "normalized": normalized}
+            for i, (part, count, form, normalized) in enumerate(accessors)
+        ],
+    }
+    return json.dumps(said).encode()
+
+
+@pytest.mark.parametrize("kind", [5121, 5123, 5126])
+@pytest.mark.parametrize("primitive", [{}, {"material": 0}])
+@pytest.mark.parametrize("scale", [1, -1])
+def test_a_gltf_files_colours_are_linear_light_and_mirrors_turn_faces(
+    tmp_path: Path, kind: int, primitive: dict[str, object], scale: int
+) -> None:
+    """Of 8 and 16 bits, and floats; next to a material and without one."""
+    peak, dtype = {5121: (255, "u1"), 5123: (65535, "<u2"), 5126: (1, "<f4")}[kind]
+    light = np.array([[0, 0.25, 1, 1], [1, 0.5, 0, 1], [0.1, 0.2, 0.3, 1], [0, 0, 0, 1]])
+    levels = light * peak if peak == 1 else np.rint(light * peak)
+    node = {"scale": [scale, 1, 1]}
+    (tmp_path / "mesh.gltf").write_bytes(gltf(primitive, node, levels.astype(dtype).tobytes(), kind))
+    mesh = as_it_is(tmp_path / "mesh.gltf")
+    np.testing.assert_allclose(mesh.colors, 255 * srgb_values(levels[:, :3] / peak), atol=0.51)
+    expected = CORNERS * (scale, 1, 1)
+    found = mesh.vertices[mesh.faces]
+    np.testing.assert_array_equal(found, expected if scale > 0 else expected[:, ::-1])
+
+
+def test_trimeshs_own_colours_are_srgb(tmp_path: Path) -> None:
+    levels = np.array([[255, 0, 0, 255], [0, 255, 0, 255], [0, 0, 255, 255], [10, 20, 30, 255]], np.uint8)
+    (tmp_path / "mesh.gltf").write_bytes(gltf({}, {}, levels.tobytes(), 5121, "https://github.com/mikedh/trimesh"))
+    np.testing.assert_array_equal(as_it_is(tmp_path / "mesh.gltf").colors, levels[:, :3])
 
 
 @pytest.mark.parametrize("name", ["pcl_ascii.pcd", "pcl_compressed.pcd"])

@@ -12,7 +12,7 @@ from support.stored_planes import LENS, plane, store
 from pipeline.errors import FootageError, OutputError, SettingsError
 from pipeline.locking import locked
 from pipeline.output import frame_export
-from pipeline.output.folder import file_digest
+from pipeline.output.folder import file_mark
 from pipeline.output.formats.table import FORMATS
 from pipeline.output.frame_export import export_frames
 from pipeline.output.mesh_files import read_mesh
@@ -266,7 +266,7 @@ def test_a_record_does_not_choose_what_is_removed(result, tmp_path, name):
     record = json.loads((out / "exported.json").read_text())
     item = record["items"]["frame_000000.ply"]
     item["made_of"] = "other"
-    item["sha256"][name] = file_digest(tmp_path / "mine")
+    item["files"][name] = file_mark(tmp_path / "mine")
     (out / "exported.json").write_text(json.dumps(record))
     with pytest.raises(OutputError, match=r"holds something else \(exported.json is not ours\)"):
         export_frames(result, out, "ply")

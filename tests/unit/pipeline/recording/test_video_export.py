@@ -11,6 +11,7 @@ from support.video_files import flip, packets
 from pipeline.errors import FootageError, OutputError
 from pipeline.footage.opening import frame_times, open_source
 from pipeline.footage.source import BadFrame, StoredFrame
+from pipeline.models import SensorPart
 from pipeline.recording.recorder import Recorder
 from pipeline.recording.video_export import export_video
 from tikernels.raw.pixel_format import FLOAT_BITS, PixelFormat
@@ -50,6 +51,12 @@ def test_times_are_the_recordings(tmp_path, rate_hz):
 def test_transfer(tmp_path, transfer):
     recording, video = exported(tmp_path, transfer=transfer)
     assert recording.transfer == video.transfer == transfer
+
+
+@pytest.mark.parametrize("sensor", [None, SensorPart(sensor_px=(99, 80), offset_px=(4, 7), binning=(2, 1))])
+def test_the_part_of_the_sensor(tmp_path, sensor):
+    recording, video = exported(tmp_path, sensor=sensor)
+    assert recording.sensor == video.sensor == sensor
 
 
 def test_the_user_knows_better(tmp_path):

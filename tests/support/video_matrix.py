@@ -1,34 +1,15 @@
-"""Videos of every container, codec, layout, range, matrix and turn: each gives the phase that its planes hold.
+"""Videos of every container, codec, layout, range, matrix and turn, all of one picture: what each holds."""
 
-All hold one simulated frame. What it should give is decoded from the planes that went into the file, or of a codec with
-loss from those that PyAV takes out of it, by the float64 twin of `convert_chroma`. Layouts that hold no phase are
-refused in one line that names them.
-"""
-
-from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any
 
 import av
 import numpy as np
-import pytest
 import reference
 
-from pipeline import Decoder, DecodeSettings
-from pipeline.errors import FootageError
-from pipeline.footage.opening import open_source
-from pipeline.footage.source import StoredFrame
-from pipeline.output.report import measure_against_truth
-from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
-from tikernels.raw.demosaicing import demosaic
-from tikernels.raw.development import develop
 from tikernels.raw.pixel_format import PixelFormat
-from tikernels.runtime import to_host
 
-SIZE_PX = (320, 240)
-# By how much more a frame of a file may be off than its planes are.
-ALLOWED = 1.1
 MATRIX_TAGS = {"bt709": 1, "bt601": 6, "bt2020": 9}
 SUBSAMPLING = {"420": (2, 2), "422": (2, 1), "440": (1, 2), "444": (1, 1), "411": (4, 1), "410": (4, 4)}
 LOSSLESS_H264 = {"qp": "0"}
@@ -137,7 +118,7 @@ def planar_frame(film: Film, picture: np.ndarray) -> tuple[av.VideoFrame, np.nda
             np.uint8 if bits == 8 else np.uint16
         )
         planes, name = [mosaic], film.pixels
-        twin = np.array(to_host(demosaic(mosaic, PixelFormat("bayer", bits, bayer=pattern), "horizontal")))
+        twin = reference.demosaic(mosaic, PixelFormat("bayer", bits, bayer=pattern), "horizontal")
     else:
         deep = any(digits in film.pixels for digits in ("48", "64", "10", "12", "16"))
         bits = next((int(d) for d in ("10", "12") if d in film.pixels), 16) if deep else 8
@@ -184,60 +165,8 @@ def taken_out(path: Any, layout: PixelFormat) -> np.ndarray:
     """Return the frame that PyAV takes out of a file, as the twin develops its planes."""
     with av.open(str(path)) as container:
         frame = next(container.decode(video=0))
+        layout = replace(layout, bits=frame.format.components[0].bits)
         planes = [
             np.frombuffer(buffer, layout.dtype).reshape(buffer.height, -1)[:, : buffer.width] for buffer in frame.planes
         ]
     return reference.convert_chroma(planes[:3], layout)
-
-
-class Bench:
-    """The simulated frame, and a decoder that knows its rig."""
-
-    def __init__(self) -> None:
-        rig = simulated_rig(SIZE_PX, period_px=2 * 768 / 44)
-        settings = SimulationSettings(scene="waves", bits=16)
-        self.truth = simulate_frame(rig, settings)
-        self.picture = self.truth.image / 65535.0
-        known = rig.model_copy(update={"crosstalk_matrix": settings.crosstalk_matrix})
-        self.decoder = Decoder(DecodeSettings(), known, arch="cpu")
-
-    def phase_error(self, image: Any) -> float:
-        """Return the phase error of a picture, rad; infinite where little is measured."""
-        measured = measure_against_truth(self.decoder.decode(image), self.truth)
-        return measured["phase_rms_rad"] if measured["coverage"] > 0.9 else np.inf
-
-
-def outcome(film: Film, path: Any, bench: Bench) -> tuple[str, float]:
-    """Return what becomes of a film, in a word, or what is wrong; and its phase error over that of its planes."""
-    try:
-        expected = write(film, path, bench.picture)
-    except (av.error.FFmpegError, ValueError) as error:  # this FFmpeg does not write such a file
-        return f"not written ({error})", 0.0
-    try:
-        source = open_source(path, bayer=film.bayer)
-        (frame,) = source.frames()
-    except FootageError as error:
-        named = film.refused is not None and film.refused in str(error) and "\n" not in str(error)
-        return ("refused by its cause" if named else f"WRONG: {error}"), 0.0
-    if film.refused is not None or not isinstance(frame, StoredFrame):
-        return f"WRONG: {frame}", 0.0
-    ratio = bench.phase_error(develop(frame.planes, frame.format)) / bench.phase_error(expected.astype(np.float32))
-    return ("decoded" if ratio <= ALLOWED else f"WRONG: {ratio:.2f} times the error of its planes"), ratio
-
-
-@pytest.mark.filterwarnings("ignore::pipeline.errors.DecodeWarning")  # of 4:1:1 and 4:1:0
-def test_every_film_gives_the_phase_that_its_planes_hold(tmp_path, cpu):
-    bench = Bench()
-    outcomes = {}
-    for number, film in enumerate(films()):
-        path = tmp_path / f"{number}.{film.container}"
-        outcomes[str(film)] = outcome(film, path, bench)
-        path.unlink(missing_ok=True)
-    counted = Counter(what.partition(" (")[0].partition(":")[0] for what, _ in outcomes.values())
-    worst = max(ratio for _, ratio in outcomes.values())
-    print(f"\n{len(outcomes)} films: {dict(counted)}; at most {worst:.3f} times the error of their planes")
-    for name, (what, _) in outcomes.items():
-        if what.startswith(("not written", "WRONG")):
-            print(f"{name}: {what}")
-    assert {name: what for name, (what, _) in outcomes.items() if what.startswith("WRONG")} == {}
-    assert counted["decoded"] > 100
