@@ -5,11 +5,11 @@ import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
-from pipeline.calibration import Calibration
+from pipeline.calibration import Calibration, CodeName
 from pipeline.decoder import Decoder
 from pipeline.decoding.doubts import CODE_SHOWN
 from pipeline.decoding.front_side import RimVotes
@@ -77,7 +77,7 @@ class Learnt:
     """What footage tells of itself before its frames are decoded for good."""
 
     light: LightEstimate | None = None
-    code: Literal["contrast"] | None = None  # that frames show
+    code: CodeName | None = None  # that frames show
     rims: RimVotes = field(default_factory=RimVotes)  # which side is in front
     notes: tuple[str, ...] = ()  # what the user should know of the light and of a code that frames show
     frame_bytes: int | None = None  # what the last frame that was asked takes in the store; None: none can be decoded
@@ -216,7 +216,7 @@ class Job:
         be estimated its light; of 16, the first that shows the side clearly.
         """
         light: LightEstimate | None = None
-        code: Literal["contrast"] | None = None
+        code: CodeName | None = None
         size: int | None = None
         rims, light_told, code_told = RimVotes(), False, False
         notes: tuple[str, ...] = ()

@@ -272,7 +272,7 @@ def geometry(
         refused += seen.refused
         second = SecondBoard(seen.poses, second_square_mm, described.square_mm)
     found = solve_geometry(measured.poses, measured.camera_size_px, size_px, pattern, known, baseline_mm, second)
-    found.calibration.write(target, force=force)
+    fringes.shown_to(found.calibration).write(target, force=force)
     _show_geometry(found)
     _say_verdict(found, refused)
     _write_picture(geometry_figure(found), target, "geometry")

@@ -11,7 +11,7 @@ from cyclopts import Parameter
 
 from pipeline.batch.job import Crop, Job
 from pipeline.batch.run import DecodeSummary, decode_footage
-from pipeline.calibration import Calibration
+from pipeline.calibration import Calibration, CodeChoice
 from pipeline.cli.console import (
     SOME_ARE_BAD,
     Arch,
@@ -54,7 +54,7 @@ class SettingsOptions:
     """The camera's encoding of light; left out, that of the calibration or the file."""
     period: float | None = None
     """Camera px per cycle, roughly; left out, measured from the frame."""
-    code: Literal["contrast", "none"] | None = None
+    code: CodeChoice | None = None
     """The pattern's code; left out, the calibration states it, or the first frame with fringes shows it."""
     smoothing: int | None = None
     """Side of the window that the phase is smoothed over, px, an odd number; 0: none."""

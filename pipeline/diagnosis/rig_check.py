@@ -12,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from pipeline.calibration import CodeName
 from pipeline.calibration.captures import CapturedFolder, captured_files
 from pipeline.calibration.model import Calibration, Geometry
 from pipeline.calibration.multishot import WHITE, decode_multishot, multishot_sequence
@@ -447,7 +448,11 @@ def check_picture(
     light = image if shift is None else runtime.to_host(align_channels(image, shift.camera))
     white = settings.white_level or WHITE_LEVELS[image.dtype.name]
     known = KnownLight.of(settings, calibration, reader.code)
-    found = diagnose(light, white, frame.unwrapped_phase, frame.mask, known, reader.transfer, frame.absolute)
+    along_px = None
+    if calibration.has_geometry and frame.points is not None:
+        geometry, along_px = calibration.geometry(), np.full(frame.mask.shape, np.nan)
+        along_px[frame.mask] = geometry.projector_px(frame.points[frame.mask].astype(float))[:, 1 - geometry.phase_axis]
+    found = diagnose(light, white, frame.unwrapped_phase, frame.mask, known, reader.transfer, frame.absolute, along_px)
     return PictureCheck(surface, found, calibration, reader.transfer, light, white, frame)
 
 
@@ -494,7 +499,7 @@ class _Reader:
         self._decoder = Decoder(settings, calibration, arch=arch)
 
     @property
-    def code(self) -> Literal["contrast"] | None:
+    def code(self) -> CodeName | None:
         """The pattern's code, by all that has been read."""
         return self._decoder.code
 

@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from pipeline.calibration.model import Lens
+from pipeline.calibration.model import CodeName, Lens
 from pipeline.decoding.front_side import RimVotes
 from pipeline.decoding.self_calibration import LightEstimate
 from pipeline.errors import DamageError
@@ -40,7 +40,7 @@ class StoreAttributes(_Said):
     footage: _Footage | None = None
     step: Annotated[int, Field(ge=1, le=MOST_FRAMES)] = 1
     rims: dict[Literal["falls", "grows", "needed"], _Count] = {}
-    code: Literal["contrast"] | None = None
+    code: CodeName | None = None
     light: Any = None
     camera: Lens | None = None
 
