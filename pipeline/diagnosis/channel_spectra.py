@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.calibration import Calibration, CodeName
-from pipeline.contrast_code import ContrastCode
+from pipeline.contrast_code import CYCLES, ContrastCode
 from pipeline.models import FloatArray
 from pipeline.pattern import CHANNEL_PHASES
 from pipeline.robust import robust_sigma
@@ -30,6 +30,9 @@ MIN_TILES = 20
 SIGMAS = 5.0
 #: Chi square by which one explanation beats another: three standard deviations.
 DECISIVE = 9.0
+# Samples per cycle: between them the light's twelfth harmonic is off by 0.2 % of its own, which is little to begin
+# with.
+_SAMPLES = 128
 #: A response that changes nothing.
 LINEAR = np.array([[0.0, 1.0]] * 3)
 PHASES = np.array(CHANNEL_PHASES)
@@ -66,14 +69,14 @@ class KnownLight:
         Light of the projector's codes, 0..1; any of them may be the one that the pattern's codes go through.
     lag_rad : (3,) or None
         By how much the projector's lateral colour delays R, G and B.
-    code : ContrastCode or None
+    code : {"contrast", "contrast2"} or None
         The pattern's.
     """
 
     crosstalk_matrix: FloatArray | None = None
     responses: tuple[FloatArray, ...] = (LINEAR,)
     lag_rad: FloatArray | None = None
-    code: ContrastCode | None = None
+    code: CodeName | None = None
 
     @classmethod
     def of(cls, settings: DecodeSettings, calibration: Calibration, code: CodeName | None) -> "KnownLight":
@@ -89,7 +92,7 @@ class KnownLight:
             calibration.crosstalk_matrix if given is None else given,
             tuple(responses),
             calibration.projector_lag_rad(),
-            None if code is None else ContrastCode.named(code, None if pattern is None else pattern.cell_px),
+            code,
         )
 
     @property
@@ -100,7 +103,7 @@ class KnownLight:
 
 
 class ExpectedLight:
-    """Light of the channels by place, for each of the responses that the codes may have gone through.
+    """Light of the channels by phase, for each of the responses that the codes may have gone through.
 
     Parameters
     ----------
@@ -111,24 +114,29 @@ class ExpectedLight:
     """
 
     def __init__(self, known: KnownLight, *, coded: bool) -> None:
-        self._known, self._code = known, known.code if coded else None
-
-    def at(self, phase: FloatArray, along_px: npt.ArrayLike = 0.0) -> npt.NDArray[np.float64]:
-        """Return the light, (N, 3, responses), at unwrapped phases (N,), rad, absolute ones where there is a code.
-
-        And at projector px along the stripe (N,), where the code changes along it.
-        """
-        known = self._known
-        place = phase[:, None] - (0.0 if known.lag_rad is None else known.lag_rad)
+        self._coded = coded
+        cycles = np.arange((CYCLES if coded else 1) * _SAMPLES) / _SAMPLES
+        lag = np.zeros(3) if known.lag_rad is None else known.lag_rad
+        place = cycles[:, None] - lag / (2 * np.pi)
         modulation: Any = 0.5
-        if self._code is not None:
-            modulation = self._code.modulation(place / (2 * np.pi), np.reshape(along_px, (-1, 1)))
-        codes = 1 - modulation + modulation * np.cos(place + PHASES)
-        light = [
-            [np.interp(codes[:, k], np.linspace(0, 1, len(row)), row) for k, row in enumerate(response)]
-            for response in known.responses
-        ]
-        return np.asarray(np.moveaxis(known.matrix @ np.array(light), 2, 0).swapaxes(1, 2))
+        if coded and known.code is not None:
+            code = ContrastCode.named(known.code)
+            # A tile holds many cells of "contrast2": their mean is expected, and how they differ is among its noise.
+            mean = (code.contrasts / (1 + code.contrasts)).mean()
+            modulation = code.modulation(place) if known.code == "contrast" else mean
+        codes = 1 - modulation + modulation * np.cos(2 * np.pi * place + np.array(CHANNEL_PHASES))
+        self._cycles = cycles
+        self._light = []
+        for response in known.responses:
+            primaries = [np.interp(codes[:, k], np.linspace(0, 1, len(row)), row) for k, row in enumerate(response)]
+            self._light.append(known.matrix @ np.array(primaries))
+
+    def at(self, phase: FloatArray) -> npt.NDArray[np.float64]:
+        """Return the light, (N, 3, responses), at unwrapped phases (N,), rad; absolute ones where there is a code."""
+        cycles = phase / (2 * np.pi)
+        period = None if self._coded else 1.0
+        channels = [[np.interp(cycles, self._cycles, row, period=period) for row in light] for light in self._light]
+        return np.asarray(channels).transpose(2, 1, 0)
 
 
 class Tiles(NamedTuple):
@@ -190,12 +198,11 @@ def fit_tiles(
     period: float,
     keep: npt.NDArray[np.bool_] | None = None,
     expected: ExpectedLight | None = None,
-    along_px: FloatArray | None = None,
 ) -> Tiles:
     """Regress every channel on the phase in tiles: mean and fundamental may change quadratically over a tile.
 
     light (H, W, 3) and phase (H, W) where usable (H, W), channel by channel only where keep (H, W, 3); and the same of
-    the light that is expected at that phase, and at projector px along the stripe (H, W).
+    the light that is expected at that phase.
     """
     side = tile_side(period)
     orders = np.arange(2, int(np.clip(period / 2 - 1, 2, 6)) + 1)  # short of half a cycle a pixel
@@ -213,8 +220,7 @@ def fit_tiles(
         basis = np.hstack([slopes, slopes * wave.real, slopes * wave.imag, (wave**orders).real, (wave**orders).imag])
         values = light[tile].reshape(-1, 3, 1)
         if expected is not None:
-            columns = 0.0 if along_px is None else np.where(inside, along_px[tile].ravel(), 0.0)
-            values = np.concatenate([values, expected.at(phase[tile].ravel(), columns)], axis=2)
+            values = np.concatenate([values, expected.at(phase[tile].ravel())], axis=2)
         if keep is None or keep[tile].all():
             means, spectra, square, variance = _fit_channels(basis[inside], values[inside])
         else:

@@ -448,11 +448,7 @@ def check_picture(
     light = image if shift is None else runtime.to_host(align_channels(image, shift.camera))
     white = settings.white_level or WHITE_LEVELS[image.dtype.name]
     known = KnownLight.of(settings, calibration, reader.code)
-    along_px = None
-    if calibration.has_geometry and frame.points is not None:
-        geometry, along_px = calibration.geometry(), np.full(frame.mask.shape, np.nan)
-        along_px[frame.mask] = geometry.projector_px(frame.points[frame.mask].astype(float))[:, 1 - geometry.phase_axis]
-    found = diagnose(light, white, frame.unwrapped_phase, frame.mask, known, reader.transfer, frame.absolute, along_px)
+    found = diagnose(light, white, frame.unwrapped_phase, frame.mask, known, reader.transfer, frame.absolute)
     return PictureCheck(surface, found, calibration, reader.transfer, light, white, frame)
 
 

@@ -138,7 +138,6 @@ def diagnose(
     known: KnownLight | None = None,
     transfer: Transfer = "linear",
     absolute: npt.NDArray[np.bool_] | None = None,
-    along_px: FloatArray | None = None,
 ) -> Diagnosis:
     """Find out why a surface is wavy.
 
@@ -158,8 +157,6 @@ def diagnose(
         By which the decoder reads the levels.
     absolute : (H, W) bool, optional
         Where the orders are absolute, so that the code is known; None: nowhere.
-    along_px : (H, W) float, optional
-        Which projector px along the stripe is seen; None: unknown, and with it a code that changes along it.
 
     Returns
     -------
@@ -179,12 +176,10 @@ def diagnose(
         return nothing
     # What the code does to a few cycles is known only where it is known which cycles they are.
     sure = np.zeros_like(mask) if absolute is None or known.code is None else mask & absolute
-    if known.code is not None and known.code.cell_px is not None:
-        sure = sure & (False if along_px is None else np.isfinite(along_px))
     coded = int(np.count_nonzero(sure)) >= _MIN_PIXELS
     phase, usable, period = smooth_phase(unwrapped_phase, sure if coded else mask)
     light, expected = linear_values(signal, transfer), ExpectedLight(known, coded=coded)
-    seen = fit_tiles(light, phase, usable, period, None, expected, along_px)
+    seen = fit_tiles(light, phase, usable, period, None, expected)
     if len(seen.mean) < MIN_TILES:
         return nothing
     noise = np.median(seen.noise) / np.median(seen.mean, axis=0)  # of the mean, by channel
@@ -198,7 +193,7 @@ def diagnose(
         # The rest of the diagnosis does without what lost its shape. Neighbours go too: choosing pixels by their own
         # value alone would choose by their noise, and bend the fit.
         keep = ~np.stack([cv2.dilate(np.uint8(c), np.ones((3, 3))) > 0 for c in np.moveaxis(clipped, -1, 0)], -1)
-        tiles = fit_tiles(light, phase, usable, period, keep, expected, along_px)
+        tiles = fit_tiles(light, phase, usable, period, keep, expected)
         lost = clipping_ripple(image >= white_level, image <= 0, usable, period, mean_spectrum(tiles), matrix)
         shares = clipped[usable].mean(axis=0)
         if max(lost.values()) > limit:
@@ -210,7 +205,7 @@ def diagnose(
     other = other_transfer(transfer)
 
     def read_otherwise() -> Tiles:
-        return fit_tiles(linear_values(signal, other), phase, usable, period, keep, expected, along_px)
+        return fit_tiles(linear_values(signal, other), phase, usable, period, keep, expected)
 
     found, tiles, fundamentals = explain_harmonics(tiles, matrix, limit, period, other, read_otherwise)
     if bands is not None:  # levels that are cut short make harmonics that nothing else explains
