@@ -269,6 +269,12 @@ def test_a_calibration_is_converted_for_a_camera_that_bins_a_part_of_its_sensor(
     assert done.returncode == 0 and "camera 128x104, projector 1024x768, 180.0 mm apart" in done.stdout, done.stderr
     found = Calibration.read(tmp_path / "new.json")
     assert found.digest() == whole.cropped(32, 16, (256, 208)).binned(2, 2).digest()
+    done = command(
+        "calibrate", "import", "calibration.json", *options[:-1], "coded.json", "--code", "contrast2", cwd=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    assert Calibration.read(tmp_path / "coded.json").digest() == found.with_pattern(code="contrast2").digest()
+    assert found.with_pattern(code="contrast2").pattern.cell_px > whole.with_pattern(code="contrast2").pattern.cell_px
     for wrong, message in (
         (("--region", "32,16,300,208"), "sticks out of the 320x240 px"),
         (("--region", "32,16,0,208"), "give x,y,width,height in px"),
