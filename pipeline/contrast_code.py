@@ -12,8 +12,8 @@ from functools import cache, cached_property
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.calibration import CodeName, Pattern
-from pipeline.models import FloatArray
+from pipeline.calibration import Pattern
+from pipeline.models import CodeName, FloatArray
 
 #: Cycles that either code has.
 CYCLES = 136

@@ -6,9 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
-from pipeline.calibration import CodeChoice
 from pipeline.errors import SettingsError
-from pipeline.models import ArrayOf, CameraState, FloatArray, Matrix3, Model, build, read_file
+from pipeline.models import ArrayOf, CameraState, CodeChoice, FloatArray, Matrix3, Model, build, read_file
 from tikernels.errors import ShapeError
 from tikernels.phase.crosstalk import invert_crosstalk
 from tikernels.phase.frame_statistics import MIN_PERIOD_PX

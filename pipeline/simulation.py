@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from pipeline.calibration import Calibration, CodeName, Lens, Pattern
+from pipeline.calibration import Calibration, Lens, Pattern
 from pipeline.calibration.model import DEFAULT_PERIOD_PX, DEFAULT_PROJECTOR_PX, Geometry, Shift
-from pipeline.models import Matrix3, Model, NonNegative, Positive
+from pipeline.models import CodeName, Matrix3, Model, NonNegative, Positive
 from pipeline.pattern import make_pattern
 from tikernels import runtime
 from tikernels.raw.linearization import srgb_values

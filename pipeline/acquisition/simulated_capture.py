@@ -23,10 +23,10 @@ from hardware.settings import RigSettings
 from hardware.simulated import SimulatedInstruments
 from pipeline.acquisition.simulated_camera import WEBCAM, WEBCAM_NAME, SimulatedCamera
 from pipeline.acquisition.simulated_studio import FRAME_S, LIGHT
-from pipeline.calibration import Calibration, CodeName
+from pipeline.calibration import Calibration
 from pipeline.calibration.model import choose_pattern
 from pipeline.errors import RenderError
-from pipeline.models import CameraState
+from pipeline.models import CameraState, CodeName
 from pipeline.processes import Child, ChildDied, serve
 from pipeline.simulation import (
     TYPICAL_CROSSTALK,

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.calibration import Calibration, CodeName
+from pipeline.calibration import Calibration
 from pipeline.decoder import Decoder
 from pipeline.decoding.doubts import CODE_SHOWN
 from pipeline.decoding.front_side import RimVotes
@@ -18,7 +18,7 @@ from pipeline.errors import DecodeWarning, FootageError, SettingsError
 from pipeline.footage.image_folder import ImageFolder
 from pipeline.footage.opening import frame_times, open_source
 from pipeline.footage.source import Source, StoredAs, StoredFrame
-from pipeline.models import ImageArray
+from pipeline.models import CodeName, ImageArray
 from pipeline.output.folder import file_digest
 from pipeline.output.store import ResultStore, camera_attribute, frame_bytes, result_attributes
 from pipeline.settings import DecodeSettings

@@ -7,14 +7,13 @@ from tikernels.lazy_names import lazily
 if TYPE_CHECKING:
     from pipeline.calibration.model import (
         Calibration,
-        CodeChoice,
-        CodeName,
         ColorShift,
         Geometry,
         Lens,
         Pattern,
         Uncertainty,
     )
+    from pipeline.models import CodeName
 
-__all__ = ["Calibration", "CodeChoice", "CodeName", "ColorShift", "Geometry", "Lens", "Pattern", "Uncertainty"]
+__all__ = ["Calibration", "CodeName", "ColorShift", "Geometry", "Lens", "Pattern", "Uncertainty"]
 __getattr__, __dir__ = lazily(__name__)

@@ -19,6 +19,8 @@ from pipeline.models import (
     LARGEST,
     ArrayOf,
     CameraState,
+    CodeChoice,
+    CodeName,
     FloatArray,
     Matrix3,
     Model,
@@ -145,8 +147,6 @@ class Lens(Model):
         return np.asarray(rays, np.float64)
 
 
-CodeName = Literal["contrast", "contrast2"]
-CodeChoice = Literal[CodeName, "none"]
 #: What patterns have where nobody names a code.
 DEFAULT_CODE: CodeName = "contrast"
 

@@ -11,7 +11,7 @@ from cyclopts import Parameter
 
 from pipeline.batch.job import Crop, Job
 from pipeline.batch.run import DecodeSummary, decode_footage
-from pipeline.calibration import Calibration, CodeChoice
+from pipeline.calibration import Calibration
 from pipeline.cli.console import (
     SOME_ARE_BAD,
     Arch,
@@ -31,6 +31,7 @@ from pipeline.cli.export import MeshChoice, write_frames
 from pipeline.errors import FootageError, SettingsError
 from pipeline.footage.image_folder import is_footage
 from pipeline.footage.source import StoredAs
+from pipeline.models import CodeChoice
 from pipeline.output.folder import STORE, refuse_others
 from pipeline.output.formats.table import FORMATS, Kind
 from pipeline.output.report import depth_in_words

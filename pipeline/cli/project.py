@@ -14,11 +14,11 @@ from hardware.projector import open_projector
 from hardware.protocols import Projector
 from pipeline.acquisition.chosen_rig import read_rig
 from pipeline.calibration.board import Board
-from pipeline.calibration.model import DEFAULT_PROJECTOR_PX, Calibration, CodeChoice, Pattern, choose_pattern
+from pipeline.calibration.model import DEFAULT_PROJECTOR_PX, Calibration, Pattern, choose_pattern
 from pipeline.cli.console import RigFile, above_zero, read_calibration, remark, say, size_of, stderr, stdout
 from pipeline.errors import CalibrationError, SettingsError
 from pipeline.footage.image_file import read_codes
-from pipeline.models import build
+from pipeline.models import CodeChoice, build
 
 projector = App(name="projector", help="Switch the rig's projector, over PJLink or InFocus's RS-232 commands.")
 

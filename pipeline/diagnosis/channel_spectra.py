@@ -16,9 +16,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.calibration import Calibration, CodeName
+from pipeline.calibration import Calibration
 from pipeline.contrast_code import CYCLES, ContrastCode
-from pipeline.models import FloatArray
+from pipeline.models import CodeName, FloatArray
 from pipeline.pattern import CHANNEL_PHASES
 from pipeline.robust import robust_sigma
 from pipeline.settings import DecodeSettings

@@ -12,7 +12,6 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.calibration import CodeName
 from pipeline.calibration.captures import CapturedFolder, captured_files
 from pipeline.calibration.model import Calibration, Geometry
 from pipeline.calibration.multishot import WHITE, decode_multishot, multishot_sequence
@@ -24,7 +23,7 @@ from pipeline.diagnosis.frame_sequence import MIN_FRAMES, SequenceDiagnosis, dia
 from pipeline.diagnosis.ripple import Diagnosis, diagnose, other_transfer
 from pipeline.errors import CalibrationError, FootageError
 from pipeline.footage.source import BadFrame, Source
-from pipeline.models import CameraState, FloatArray, ImageArray
+from pipeline.models import CameraState, CodeName, FloatArray, ImageArray
 from pipeline.robust import robust_sigma
 from pipeline.settings import DecodeSettings
 from tikernels import runtime

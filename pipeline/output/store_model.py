@@ -5,12 +5,12 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from pipeline.calibration.model import CodeName, Lens
+from pipeline.calibration.model import Lens
 from pipeline.decoding.front_side import RimVotes
 from pipeline.decoding.self_calibration import LightEstimate
 from pipeline.errors import DamageError
 from pipeline.limits import MOST_FRAMES
-from pipeline.models import first_fault
+from pipeline.models import CodeName, first_fault
 
 _Count = Annotated[int, Field(ge=0, le=MOST_FRAMES)]
 # A plain name: it chooses what is read.

@@ -16,11 +16,11 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 
-from pipeline.calibration import Calibration, CodeName, Lens, Pattern
+from pipeline.calibration import Calibration, Lens, Pattern
 from pipeline.calibration.model import DEFAULT_CODE, DEFAULT_PROJECTOR_PX, Geometry
 from pipeline.errors import FootageError
 from pipeline.limits import check_size
-from pipeline.models import FloatArray, Model, Positive
+from pipeline.models import CodeName, FloatArray, Model, Positive
 
 # Nothing that is sold for such a rig lies outside these bounds, in the unit of the field's name.
 _Side = Annotated[int, Field(ge=64, lt=2**20)]

@@ -28,12 +28,11 @@ from typing import Any, Literal
 import numpy as np
 
 from hardware.colour_cycle import check_exposure
-from pipeline.calibration import CodeName
 from pipeline.calibration.board import Board
 from pipeline.calibration.model import DEFAULT_CODE
 from pipeline.contrast_code import CYCLES, WORD_CELLS, ContrastCode
 from pipeline.errors import SettingsError
-from pipeline.models import FloatArray, build
+from pipeline.models import CodeName, FloatArray, build
 from pipeline.pattern import CHANNEL_PHASES
 from pipeline.planning.expected_calibration import planned_bias_mm
 from pipeline.planning.rig_choice import FringeGeometry, RigChoice, SeenFields, angle_deg, fringe_geometry, seen_fields
