@@ -21,7 +21,7 @@ _SHOWN = ((1, 15), (1, 8), (2, 8), (4, 4), (8, 2), (9, 1), (12, 1))
 # T, and the annealing's first and last temperature.
 _SCALE, _HOT, _COLD = 0.3, 0.5, 0.005
 _NEAR, _NEAR_COUNTS = 6, 4.0
-# Of fifteen cells: others are nearly as even as a gain.
+# Of fifteen cells: the two words without change look like a gain.
 _FEWEST_ONES, _MOST_ONES = 5, 10
 
 

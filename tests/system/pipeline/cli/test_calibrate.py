@@ -149,7 +149,8 @@ def posed(monkeypatch):
 
 
 def test_a_verdict_follows_the_figures(posed, command, tmp_path):
-    done = command(*ARGUMENTS, "--square-mm", "26", *SECOND, "--out", "rig.json")
+    coded = (*ARGUMENTS[:-1], "contrast2", "--period", "8")
+    done = command(*coded, "--square-mm", "26", *SECOND, "--out", "rig.json")
     assert done.returncode == 0, done.stderr
     assert "depth bias to be expected" in done.stdout and "note: pose_99: no board is seen" in done.stdout
     worst, verdict, scale, wrote = done.stdout.strip().splitlines()[-4:]
@@ -158,7 +159,11 @@ def test_a_verdict_follows_the_figures(posed, command, tmp_path):
     assert scale == "scale proven by the second board; camera and projector stand 180.0 mm apart"
     assert wrote == "wrote rig.json and rig-geometry.png"
     assert (tmp_path / "rig-geometry.png").read_bytes().startswith(b"\x89PNG")
-    assert json.loads((tmp_path / "rig.json").read_text())["scale_proof"] == "second board"
+    rig = Calibration.read(tmp_path / "rig.json")
+    assert rig.scale_proof == "second board"
+    assert (rig.pattern.code, rig.pattern.period_px) == ("contrast2", 8)
+    assert rig.pattern.cell_px == pytest.approx(rig.with_pattern(code="contrast2").pattern.cell_px)
+    assert rig.pattern.cell_px > 4, "by the geometry, which has just been found"
 
 
 def test_a_picture_that_cannot_be_written_is_one_line(posed, command, tmp_path):
