@@ -8,9 +8,9 @@ Key = Literal[
     "colours swapped", "corners off", "cropped", "exposure_s", "folded lens", "gain", "impossible period",
     "low contrast", "no fringe", "not calibrated", "odd colours", "on its side", "orders guessed", "other crosstalk",
     "other scene", "other shape", "other squares", "other stripes", "out of range", "over-exposed", "past the pattern",
-    "poses do not fit", "repeated-chroma", "reversed",
-    "reversed for another reason", "rig moved", "swapped", "too fast", "too fine", "transfer", "turned over", "under-exposed",
-    "unusual period", "warped picture", "weak fringe", "white_balance",
+    "poses do not fit", "repeated-chroma", "reversed", "reversed for another reason", "rig moved", "swapped",
+    "too fast", "too fine", "transfer", "turned over", "under-exposed", "unusual period", "warped picture",
+    "weak fringe", "white_balance",
 ]  # fmt: skip
 
 

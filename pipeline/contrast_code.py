@@ -12,8 +12,8 @@ from functools import cache, cached_property, lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.calibration import CodeName, Pattern
-from pipeline.models import FloatArray
+from pipeline.calibration import Pattern
+from pipeline.models import CodeName, FloatArray
 
 #: Cycles that either code has.
 CYCLES = 136
@@ -89,6 +89,11 @@ class ContrastCode:
         places = 1 if self.cell_px is None else _PLACES * self.contrasts.shape[1]
         return np.asarray((np.arange(places) + 0.5) / places * self.repeats_px)
 
+    def place_at(self, along_px: npt.NDArray[np.floating]) -> npt.NDArray[np.int64]:
+        """Return the numbers of the places at which the code is tabled that these px along the stripe lie in."""
+        count = len(self.places_px)
+        return np.asarray(np.floor(np.remainder(along_px / self.repeats_px, 1) * count).astype(np.int64) % count)
+
     def modulation(self, cycles: npt.ArrayLike, along_px: npt.ArrayLike = 0.0) -> FloatArray:
         """Return the pattern's modulation as a fraction of full scale.
 
@@ -131,7 +136,6 @@ class ContrastCode:
             seen.append([np.interp(projected, modulations, share) @ (weight / weight.sum()) for share in shares])
         return np.array(seen)
 
-    @lru_cache(maxsize=4)
     def levels(self, width_px: float = 0.0) -> npt.NDArray[np.float64]:
         """Return the logarithm of each cycle's contrast, as `measure_contrast` reads it, under each of GAMMAS.
 
@@ -147,12 +151,17 @@ class ContrastCode:
         (gammas, CYCLES, places) float64
             Natural logarithm, at places evenly over `repeats_px`, half a place from its start on.
         """
-        levels = self._levels
-        places = levels.shape[-1]
-        width = max(1, min(places, round(width_px / self.repeats_px * places)))
-        if width > 1:
-            kernel = np.zeros(places)
-            kernel[:width] = 1 / width
-            kernel = np.roll(kernel, -((width - 1) // 2))
-            levels = np.fft.irfft(np.fft.rfft(levels) * np.fft.rfft(kernel), places)
-        return np.asarray(np.log(levels[:, 0] / levels[:, 1]))
+        places = self._levels.shape[-1]
+        return _averaged(self, max(1, min(places, round(width_px / self.repeats_px * places))))
+
+
+@lru_cache(maxsize=4)
+def _averaged(code: ContrastCode, width: int) -> npt.NDArray[np.float64]:
+    """Return a code's levels, averaged over so many places."""
+    levels = code._levels
+    if width > 1:
+        kernel = np.zeros(levels.shape[-1])
+        kernel[:width] = 1 / width
+        kernel = np.roll(kernel, -((width - 1) // 2))
+        levels = np.fft.irfft(np.fft.rfft(levels) * np.fft.rfft(kernel), levels.shape[-1])
+    return np.asarray(np.log(levels[:, 0] / levels[:, 1]))

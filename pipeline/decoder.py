@@ -3,12 +3,11 @@
 import warnings
 from contextlib import nullcontext
 from dataclasses import replace
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.calibration import Calibration, CodeName
+from pipeline.calibration import Calibration
 from pipeline.causes import Cause, Key
 from pipeline.contrast_code import ContrastCode
 from pipeline.decoding.buffers import BufferPool, PhaseBuffers, SurfaceBuffers, clear_buffers
@@ -34,6 +33,7 @@ from pipeline.decoding.thresholds import frame_levels
 from pipeline.decoding.workspace import Workspace
 from pipeline.errors import CalibrationError, DecodeWarning
 from pipeline.linear_algebra import one_thread
+from pipeline.models import CodeName
 from pipeline.orders.order_finder import OrderFinder, SeenPhase
 from pipeline.settings import DecodeSettings
 from tikernels import runtime
@@ -203,7 +203,7 @@ class Decoder:
         """The pattern's code: by the settings, the calibration, or the first frame with fringes; None: none yet."""
         return None if self._path.code_unknown or self._path.code is None else self._path.code.name
 
-    def use_code(self, code: Literal["contrast"] | None) -> None:
+    def use_code(self, code: CodeName | None) -> None:
         """Take what another decoder has seen of a code, instead of looking for one in the first frame with fringes.
 
         A code that settings or calibration state stays.

@@ -24,6 +24,10 @@ ImageArray = npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | npt.NDArray[np.flo
 # Letters of a wrong value that an error shows.
 _LONGEST_SHOWN = 40
 
+#: By what a pattern tells the cycle of a place, and what users may name.
+CodeName = Literal["contrast", "contrast2"]
+CodeChoice = Literal[CodeName, "none"]
+
 #: Nothing in a rig's files is as large, whatever its unit; and its fourth power still is a float32.
 LARGEST = 1e9
 Positive = Annotated[float, Field(gt=0, le=LARGEST)]

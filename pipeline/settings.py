@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
 from pipeline.errors import SettingsError
-from pipeline.models import ArrayOf, CameraState, FloatArray, Matrix3, Model, build, read_file
+from pipeline.models import ArrayOf, CameraState, CodeChoice, FloatArray, Matrix3, Model, build, read_file
 from tikernels.errors import ShapeError
 from tikernels.phase.crosstalk import invert_crosstalk
 from tikernels.phase.frame_statistics import MIN_PERIOD_PX
@@ -61,10 +61,10 @@ class DecodeSettings(Model):
     """Where the projector stands, as the camera's picture shows it: "above" or "below" with horizontal stripes, "left"
     or "right" with vertical ones. It tells which side of a surface is in front where no calibration does; None: the
     frame tells, in which surfaces turn away from the camera at their rims."""
-    code: Literal["contrast", "none"] | None = None
+    code: CodeChoice | None = None
     """The pattern's code, by which orders become absolute. "contrast": the modulation of each cycle shows which one it
-    is, as in what `colorphase pattern` makes; "none": the pattern is plain. None: the calibration's pattern has one, or
-    the first frame with fringes shows it."""
+    is, as in what `colorphase pattern` makes; "contrast2": that of its cells, as wide as in the calibration's pattern;
+    "none": the pattern is plain. None: the calibration's pattern has one, or the first frame with fringes shows it."""
     field_times: Annotated[FloatArray, ArrayOf((3,), _MOST_FRAMES_APART)] | None = None
     """When the projector shows red, green and blue where it shows them one after another: the middle of each, in times
     from frame to frame. Then `previous` tells what moved in between. None: all at once."""

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from pipeline.calibration import Calibration, Lens, Pattern
 from pipeline.calibration.model import DEFAULT_PERIOD_PX, DEFAULT_PROJECTOR_PX, Geometry, Shift
-from pipeline.models import Matrix3, Model, NonNegative, Positive
+from pipeline.models import CodeName, Matrix3, Model, NonNegative, Positive
 from pipeline.pattern import make_pattern
 from tikernels import runtime
 from tikernels.raw.linearization import srgb_values
@@ -88,7 +88,7 @@ def simulated_rig(
     tilt_deg: float = 0.0,
     camera_distortion: tuple[float, ...] = (0.0,) * 5,
     projector_distortion: tuple[float, ...] = (0.0,) * 5,
-    code: Literal["contrast"] | None = None,
+    code: CodeName | None = None,
 ) -> Calibration:
     """Return a rig of a camera and a 1024x768 projector, 180 mm apart, both turned to a point 900 mm away.
 
@@ -104,7 +104,7 @@ def simulated_rig(
         How far the projector is turned about its own axis, and with it the stripes.
     camera_distortion, projector_distortion : 4, 5, 8, 12 or 14 floats
         OpenCV's coefficients.
-    code : {"contrast"}, optional
+    code : {"contrast", "contrast2"}, optional
         The pattern's code.
     """
     width, height = size_px
@@ -135,13 +135,13 @@ def simulated_rig(
         projector=projector,
         rotation=rotation,
         translation_mm=-rotation @ centre,
-        pattern=Pattern(period_px=period_px, stripes=stripes, code=code),
-    )
+        pattern=Pattern(period_px=period_px, stripes=stripes),
+    ).with_pattern(code=code)
 
 
-def simulated_truth() -> Calibration:
+def simulated_truth(code: CodeName | None = "contrast") -> Calibration:
     """Return the true geometry of the simulated rig, by which results are judged, and never decoded."""
-    return simulated_rig(camera_distortion=_CAMERA_LENS, projector_distortion=_PROJECTOR_LENS, code="contrast")
+    return simulated_rig(camera_distortion=_CAMERA_LENS, projector_distortion=_PROJECTOR_LENS, code=code)
 
 
 def own_calibration() -> Calibration:

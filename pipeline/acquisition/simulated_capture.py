@@ -24,8 +24,9 @@ from hardware.simulated import SimulatedInstruments
 from pipeline.acquisition.simulated_camera import WEBCAM, WEBCAM_NAME, SimulatedCamera
 from pipeline.acquisition.simulated_studio import FRAME_S, LIGHT
 from pipeline.calibration import Calibration
+from pipeline.calibration.model import choose_pattern
 from pipeline.errors import RenderError
-from pipeline.models import CameraState
+from pipeline.models import CameraState, CodeName
 from pipeline.processes import Child, ChildDied, serve
 from pipeline.simulation import (
     TYPICAL_CROSSTALK,
@@ -68,6 +69,7 @@ class SceneTask:
     arch: str
     n_places: int  # from one side to the other
     scene: Literal["portrait", "ball"]
+    code: CodeName | None = "contrast"  # of the pattern
 
 
 @dataclass(frozen=True)
@@ -121,7 +123,9 @@ def turn_deg(place: int, n_places: int) -> float:
     return -_SWING_DEG * math.cos(math.pi * place / (n_places - 1))
 
 
-def simulate_place(place: int, n_places: int, scene: Literal["portrait", "ball"] = "portrait") -> SimulatedFrame:
+def simulate_place(
+    place: int, n_places: int, scene: Literal["portrait", "ball"] = "portrait", code: CodeName | None = "contrast"
+) -> SimulatedFrame:
     """Render the head, or a ball, at a place under the rig's pattern, without noise, in 16 bits."""
     settings = SimulationSettings(
         scene=scene,
@@ -133,7 +137,7 @@ def simulate_place(place: int, n_places: int, scene: Literal["portrait", "ball"]
         bits=16,
         object_turn_deg=turn_deg(place, n_places),
     )
-    return simulate_frame(simulated_truth(), settings)
+    return simulate_frame(simulated_truth(code), settings)
 
 
 def render_elsewhere(task: SceneTask, step: Callable[[str], None]) -> Scene:
@@ -185,7 +189,7 @@ def render_scene(task: SceneTask, step: Callable[[str], None]) -> Scene:
     places = []
     for place in range(task.n_places):
         step(f"simulating place {place + 1} of {task.n_places}")
-        places.append(_under_both_pictures(simulate_place(place, task.n_places, task.scene)))
+        places.append(_under_both_pictures(simulate_place(place, task.n_places, task.scene, task.code)))
     return Scene(tuple(places))
 
 
@@ -231,7 +235,8 @@ def simulated_instruments(
         if webcam:
             calibration = calibration.model_copy(update={"capture": CameraState(transfer="srgb")})
     is_ball = wiring.camera.serial == BALL
-    task = SceneTask(arch, 2, "ball") if is_ball else SceneTask(arch, _PLACES, "portrait")
+    code = choose_pattern(calibration, None, None).code
+    task = SceneTask(arch, 2, "ball", code) if is_ball else SceneTask(arch, _PLACES, "portrait", code)
     scene = render_elsewhere(task, step)
     camera = SceneCamera(scene, wiring.timing.period_s, webcam=webcam)
     height, width = scene.places[0][0].shape[:2]

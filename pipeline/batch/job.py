@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from pipeline.footage.image_folder import ImageFolder
 from pipeline.footage.opening import frame_times, open_source
 from pipeline.footage.source import Source, StoredAs, StoredFrame
 from pipeline.limits import BYTES_A_PIXEL, max_pixels
-from pipeline.models import ImageArray
+from pipeline.models import CodeName, ImageArray
 from pipeline.output.folder import file_digest
 from pipeline.output.store import ResultStore, camera_attribute, frame_bytes, result_attributes
 from pipeline.settings import DecodeSettings
@@ -82,7 +82,7 @@ class Learnt:
     """What footage tells of itself before its frames are decoded for good."""
 
     light: LightEstimate | None = None
-    code: Literal["contrast"] | None = None  # that frames show
+    code: CodeName | None = None  # that frames show
     rims: RimVotes = field(default_factory=RimVotes)  # which side is in front
     notes: tuple[str, ...] = ()  # what the user should know of the light and of a code that frames show
     frame_bytes: int | None = None  # what the last frame that was asked takes in the store; None: none can be decoded
@@ -242,7 +242,7 @@ class Job:
         be estimated its light; of 16, the first that shows the side clearly.
         """
         light: LightEstimate | None = None
-        code: Literal["contrast"] | None = None
+        code: CodeName | None = None
         size: int | None = None
         rims, light_told, code_told = RimVotes(), False, False
         notes: tuple[str, ...] = ()

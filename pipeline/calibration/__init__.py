@@ -6,7 +6,7 @@ from tikernels.lazy_names import lazily
 
 if TYPE_CHECKING:
     from pipeline.calibration.lens import Lens
-    from pipeline.calibration.model import Calibration, CodeName, ColorShift, Geometry, Pattern, Uncertainty
+    from pipeline.calibration.model import Calibration, ColorShift, Geometry, Pattern, Uncertainty
 
-__all__ = ["Calibration", "CodeName", "ColorShift", "Geometry", "Lens", "Pattern", "Uncertainty"]
+__all__ = ["Calibration", "ColorShift", "Geometry", "Lens", "Pattern", "Uncertainty"]
 __getattr__, __dir__ = lazily(__name__)

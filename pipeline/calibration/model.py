@@ -2,14 +2,14 @@
 
 import hashlib
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import cv2
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from pipeline.calibration.lens import Lens
 from pipeline.causes import Cause, Key
@@ -19,6 +19,8 @@ from pipeline.models import (
     LARGEST,
     ArrayOf,
     CameraState,
+    CodeChoice,
+    CodeName,
     FloatArray,
     Matrix3,
     Model,
@@ -35,6 +37,9 @@ from tikernels.depth.triangulation import ProjectorGeometry
 Vector9 = Annotated[FloatArray, ArrayOf((9,))]
 Shift = Annotated[FloatArray, ArrayOf((3, 2))]
 Response = Annotated[FloatArray, ArrayOf((3, 256))]
+_CODE_VERSION: Literal[1] = 1
+# Narrower cells of a code are lost in the projector's blur, or in the camera's.
+_LEAST_CELL_PX, _LEAST_CELL_CAMERA_PX = 2.0, 4.5
 #: Crosstalk worse than this cannot be undone: noise grows by it.
 MAX_CONDITION = 100.0
 #: What is taken where nobody has named a projector or a pattern: width and height in px, and px per cycle: 44 cycles
@@ -47,7 +52,14 @@ ScaleProof = Literal["baseline", "second board"]
 _GEOMETRY = ("camera", "projector", "rotation", "translation_mm", "pattern")
 
 
-CodeName = Literal["contrast", "contrast2"]
+#: What patterns have where nobody names a code.
+DEFAULT_CODE: CodeName = "contrast"
+
+
+def _known_version(value: Any) -> Any:
+    if isinstance(value, int) and value > _CODE_VERSION:
+        raise ValueError(f"version {value} of a code was made by a newer colorphase: update this one to read it")
+    return value
 
 
 class Pattern(Model):
@@ -57,8 +69,17 @@ class Pattern(Model):
     stripes: Literal["horizontal", "vertical"] = "horizontal"
     #: By what a place's cycle is told: "contrast": each cycle's modulation; "contrast2": that of its cells.
     code: CodeName | None = None
-    cell_px: Annotated[float, Field(ge=2, le=LARGEST)] | None = None  # projector px along the stripe of a cell
+    code_version: Annotated[Literal[1], BeforeValidator(_known_version)] = _CODE_VERSION  # of its symbols
+    cell_px: Annotated[float, Field(ge=_LEAST_CELL_PX, le=LARGEST)] | None = None  # projector px along the stripe
     compensated: bool | None = None  # whether the projector's response is undone in it; None: unknown
+
+    @model_validator(mode="after")
+    def _check(self) -> "Pattern":
+        if (self.cell_px is None) == (self.code == "contrast2"):
+            raise ValueError(
+                "cell_px is how wide the cells of contrast2 are: give it with that code, and with no other"
+            )
+        return self
 
 
 class ColorShift(Model):
@@ -109,13 +130,24 @@ class Geometry:
             axis=axis,
         )
 
-    def pattern_cycles(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Return the pattern's phase, in cycles, at points (N, 3) in the camera's frame, mm."""
+    def projector_px(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Return where the projector sees points (N, 3) in the camera's frame, mm: x and y, px, (N, 2)."""
         if len(points) == 0:  # OpenCV then returns nothing
-            return np.zeros(0)
+            return np.zeros((0, 2))
         turn, lens = cv2.Rodrigues(self.rotation)[0], self.projector
         pixels = cv2.projectPoints(points, turn, self.translation_mm, lens.matrix, lens.distortion)[0]
-        return np.asarray(pixels[:, 0, self.phase_axis] / self.pattern.period_px)
+        return np.asarray(pixels[:, 0])
+
+    def pattern_cycles(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Return the pattern's phase, in cycles, at points (N, 3) in the camera's frame, mm."""
+        return self.projector_px(points)[:, self.phase_axis] / self.pattern.period_px
+
+    def camera_px_along(self, depth_mm: float) -> float:
+        """Return how many camera px a projector px is wide along the stripe, at this depth on the camera's axis."""
+        middle, x1, y1 = self.projector_px(np.array([[0.0, 0, depth_mm], [1, 0, depth_mm], [0, 1, depth_mm]]))
+        # mm that go one projector px along the stripe, and none across.
+        along = np.linalg.solve(np.column_stack([x1 - middle, y1 - middle]), np.eye(2)[1 - self.phase_axis])
+        return float(np.hypot(*(along * self.camera.matrix[[0, 1], [0, 1]] / depth_mm)))
 
     def rad_per_mm(self, depth_mm: float) -> float:
         """Return how much the phase changes per mm of depth on the camera's axis, rad."""
@@ -357,6 +389,15 @@ class Calibration(Model):
             raise OutputError(f"{path} exists already: choose another name, or add --force")
         write_atomically(Path(path), (json.dumps(self.model_dump(mode="json"), indent=1) + "\n").encode())
 
+    def with_pattern(
+        self,
+        period_px: float | None = None,
+        stripes: Literal["horizontal", "vertical"] | None = None,
+        code: CodeChoice | None = None,
+    ) -> "Calibration":
+        """Return the calibration of the same rig under the pattern of `choose_pattern`."""
+        return self.model_copy(update={"pattern": choose_pattern(self, period_px, stripes, code)})
+
     def projector_lag_rad(self) -> FloatArray | None:
         """Return by how much the projector's lateral colour delays R, G and B, (3,); None where none is known."""
         if self.color_shift_px is None or not self.has_geometry:
@@ -389,18 +430,33 @@ def choose_pattern(
     known: Calibration | None,
     period_px: float | None,
     stripes: Literal["horizontal", "vertical"] | None,
-    code: Literal["contrast", "none"] | None = None,
+    code: CodeChoice | None = None,
 ) -> Pattern:
-    """Return the pattern that frames are taken with: what was named, else the calibration's, else one with the code.
+    """Return the pattern that frames are taken with: what was named, else the calibration's, else the usual one.
+
+    Cells of a pattern of which something was named are half a period wide, but by a geometry 4.5 camera px at least.
 
     Raises
     ------
     SettingsError
         There is no such pattern.
     """
-    usual = Pattern(period_px=DEFAULT_PERIOD_PX, code="contrast")
+    usual = Pattern(period_px=DEFAULT_PERIOD_PX, code=DEFAULT_CODE)
     before = known.pattern if known is not None and known.pattern is not None else usual
-    values = before.model_dump()
     chosen = (("period_px", period_px), ("stripes", stripes), ("code", code))
-    values |= {name: None if value == "none" else value for name, value in chosen if value is not None}
+    named = {name: None if value == "none" else value for name, value in chosen if value is not None}
+    if not named:
+        return before
+    values = before.model_dump() | named | {"cell_px": None}
+    if values["code"] == "contrast2":
+        values["cell_px"] = _cell_px(known, build(Pattern, values | {"code": None}, SettingsError, "pattern"))
     return build(Pattern, values, SettingsError, "pattern")
+
+
+def _cell_px(known: Calibration | None, pattern: Pattern) -> float:
+    cell_px = max(pattern.period_px / 2, _LEAST_CELL_PX)
+    if known is None or not known.has_geometry:
+        return cell_px
+    geometry = replace(known.geometry(), pattern=pattern)
+    depth_mm = geometry.working_distance_mm()
+    return cell_px if depth_mm is None else max(cell_px, _LEAST_CELL_CAMERA_PX / geometry.camera_px_along(depth_mm))

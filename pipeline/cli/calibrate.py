@@ -273,7 +273,7 @@ def geometry(
         second = SecondBoard(seen.poses, second_square_mm, described.square_mm)
     sizes = measured.camera_size_px, size_px
     found = solve_geometry(measured.poses, *sizes, pattern, known, baseline_mm, second, measured.sensor)
-    found.calibration.write(target, force=force)
+    fringes.shown_to(found.calibration).write(target, force=force)
     _show_geometry(found)
     _say_verdict(found, refused)
     _write_picture(geometry_figure(found), target, "geometry")

@@ -63,6 +63,8 @@ def import_calibration(
         rig = rig.cropped(x, y, (width, height))
     if binning is not None:
         rig = rig.binned(*size_of(binning, "--binning"))
+    if rig.has_geometry:
+        rig = fringes.shown_to(rig)
     rig.write(out, force=force)
     if rig.has_geometry:
         geometry = rig.geometry()

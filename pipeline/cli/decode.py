@@ -31,6 +31,7 @@ from pipeline.cli.export import MeshChoice, write_frames
 from pipeline.errors import FootageError, SettingsError
 from pipeline.footage.image_folder import is_footage
 from pipeline.footage.source import StoredAs
+from pipeline.models import CodeChoice
 from pipeline.output.folder import STORE, refuse_others
 from pipeline.output.formats.table import FORMATS, Kind
 from pipeline.output.report import depth_in_words
@@ -54,7 +55,7 @@ class SettingsOptions:
     """The camera's encoding of light; left out, that of the calibration or the file."""
     period: float | None = None
     """Camera px per cycle, roughly; left out, measured from the frame."""
-    code: Literal["contrast", "none"] | None = None
+    code: CodeChoice | None = None
     """The pattern's code; left out, the calibration states it, or the first frame with fringes shows it."""
     smoothing: int | None = None
     """Side of the window that the phase is smoothed over, px, an odd number; 0: none."""

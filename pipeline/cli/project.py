@@ -18,7 +18,7 @@ from pipeline.calibration.model import DEFAULT_PROJECTOR_PX, Calibration, Patter
 from pipeline.cli.console import RigFile, above_zero, read_calibration, remark, say, size_of, stderr, stdout
 from pipeline.errors import CalibrationError, SettingsError
 from pipeline.footage.image_file import read_codes
-from pipeline.models import build
+from pipeline.models import CodeChoice, build
 
 projector = App(name="projector", help="Switch the rig's projector, over PJLink or InFocus's RS-232 commands.")
 
@@ -67,13 +67,18 @@ class PatternOptions:
     """Projector px per cycle; left out, the calibration's, else 17.4545."""
     stripes: Literal["horizontal", "vertical"] | None = None
     """The direction of the stripes; left out, the calibration's, else horizontal."""
-    code: Literal["contrast", "none"] | None = None
-    """"contrast": the modulation of each cycle identifies it, so that one frame gives absolute depth; "none": a plain
+    code: CodeChoice | None = None
+    """"contrast": the modulation of each cycle identifies it, so that one frame gives absolute depth; "contrast2": that
+    of cells within it, by which much smaller surfaces have it, but only with a calibrated geometry; "none": a plain
     pattern, whose depth is relative. Left out, the calibration's, else contrast."""
 
     def pattern(self, calibration: Calibration | None) -> Pattern:
         """Return the pattern; see `choose_pattern`."""
         return choose_pattern(calibration, self.period, self.stripes, self.code)
+
+    def shown_to(self, calibration: Calibration) -> Calibration:
+        """Return the calibration of the same rig under that pattern."""
+        return calibration.with_pattern(self.period, self.stripes, self.code)
 
 
 _BOARD, _FRINGES = BoardOptions(), PatternOptions()
@@ -128,7 +133,13 @@ def pattern(
     elif size is not None:
         size_px = size_of(size)
     response = None if rig is None else rig.response
-    write_pattern(file, size_px, fringes.pattern(rig), response, brightness)
+    chosen = fringes.pattern(rig)
+    write_pattern(file, size_px, chosen, response, brightness)
+    if chosen.code == "contrast2" and (rig is None or not rig.has_geometry):
+        remark(
+            "note: contrast2 is decoded by a calibrated geometry only: run colorphase calibrate geometry --code "
+            "contrast2, and write the pattern again with its --calibration"
+        )
 
 
 def _display_size(number: int, size: str | None, calibrated_px: tuple[int, int] | None) -> tuple[int, int]:

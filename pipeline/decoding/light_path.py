@@ -70,7 +70,7 @@ class LightPath:
         # What a frame has told of the light, and one cycle of each channel by that.
         self._learned: LightEstimate | None = None
         self._learned_cycle: npt.NDArray[np.float32] = flat_template()
-        matrix, code, cell_px = settings.crosstalk_matrix, settings.code, None
+        matrix, code = settings.crosstalk_matrix, _code(settings, calibration)
         if calibration is not None:
             if calibration.pattern is not None:
                 if calibration.pattern.stripes != settings.stripes:
@@ -79,8 +79,6 @@ class LightPath:
                         f"{calibration.pattern.stripes} ones: set stripes to {calibration.pattern.stripes!r}"
                     )
                 compensated = calibration.pattern.compensated
-                if code is None and calibration.pattern.code is not None:
-                    code, cell_px = calibration.pattern.code, calibration.pattern.cell_px
             self.transfer = _transfer(settings, calibration)
             matrix = calibration.crosstalk_matrix if matrix is None else matrix
             self._wavelengths_nm = calibration.wavelengths_nm
@@ -98,8 +96,8 @@ class LightPath:
         self.constant_sigma = 0.0 if self.constant_known else _UNKNOWN_CONSTANT
         self.white: FloatArray | None = None if matrix is None else matrix.sum(axis=1)
         self._matrix, self._responses = matrix, responses
-        self.use_code(None if code == "none" else ContrastCode.named(code or "contrast", cell_px))
-        self.code_unknown = code is None
+        self.use_code(code or (None if settings.code == "none" else ContrastCode.named("contrast")))
+        self.code_unknown = code is None and settings.code is None
 
     def use_code(self, code: ContrastCode | None) -> None:
         """Take the pattern's code; what was learnt of the light stays."""
@@ -178,6 +176,22 @@ class LightPath:
             self.crosstalk = Crosstalk.of(np.eye(3), lag=self._lag, surfaces=Surfaces.of(matrix))
         else:
             self.crosstalk = Crosstalk.of(matrix, lag=self._lag)
+
+
+def _code(settings: DecodeSettings, calibration: Calibration | None) -> ContrastCode | None:
+    """Return the code that settings or calibration state; None: they state none."""
+    pattern = None if calibration is None else calibration.pattern
+    name = settings.code or (None if pattern is None else pattern.code)
+    if name is None or name == "none":
+        return None
+    if name == "contrast":
+        return ContrastCode.named(name)
+    if pattern is None or pattern.code != name or calibration is None or not calibration.has_geometry:
+        raise SettingsError(
+            'the code "contrast2" is read by a geometry whose pattern states it: give that calibration, or set code = '
+            '"none"'
+        )
+    return ContrastCode.of(pattern)
 
 
 def _transfer(settings: DecodeSettings, calibration: Calibration) -> Transfer:

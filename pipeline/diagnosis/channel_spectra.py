@@ -10,15 +10,15 @@ the effect of the code on contrasts and phases of a few cycles; neither is a fau
 """
 
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.calibration.model import Calibration
+from pipeline.calibration import Calibration
 from pipeline.contrast_code import CYCLES, ContrastCode
-from pipeline.models import FloatArray
+from pipeline.models import CodeName, FloatArray
 from pipeline.pattern import CHANNEL_PHASES
 from pipeline.robust import robust_sigma
 from pipeline.settings import DecodeSettings
@@ -69,17 +69,17 @@ class KnownLight:
         Light of the projector's codes, 0..1; any of them may be the one that the pattern's codes go through.
     lag_rad : (3,) or None
         By how much the projector's lateral colour delays R, G and B.
-    code : {"contrast"} or None
+    code : {"contrast", "contrast2"} or None
         The pattern's.
     """
 
     crosstalk_matrix: FloatArray | None = None
     responses: tuple[FloatArray, ...] = (LINEAR,)
     lag_rad: FloatArray | None = None
-    code: Literal["contrast"] | None = None
+    code: CodeName | None = None
 
     @classmethod
-    def of(cls, settings: DecodeSettings, calibration: Calibration, code: Literal["contrast"] | None) -> "KnownLight":
+    def of(cls, settings: DecodeSettings, calibration: Calibration, code: CodeName | None) -> "KnownLight":
         """Return what settings and calibration state, which the settings overrule, and the code of the decoder."""
         pattern = calibration.pattern
         compensated = None if pattern is None else pattern.compensated
@@ -118,7 +118,12 @@ class ExpectedLight:
         cycles = np.arange((CYCLES if coded else 1) * _SAMPLES) / _SAMPLES
         lag = np.zeros(3) if known.lag_rad is None else known.lag_rad
         place = cycles[:, None] - lag / (2 * np.pi)
-        modulation = ContrastCode.named("contrast").modulation(place) if coded else 0.5
+        modulation: Any = 0.5
+        if coded and known.code is not None:
+            code = ContrastCode.named(known.code)
+            # A tile holds many cells of "contrast2": their mean is expected, and how they differ is among its noise.
+            mean = (code.contrasts / (1 + code.contrasts)).mean()
+            modulation = code.modulation(place) if known.code == "contrast" else mean
         codes = 1 - modulation + modulation * np.cos(2 * np.pi * place + np.array(CHANNEL_PHASES))
         self._cycles = cycles
         self._light = []

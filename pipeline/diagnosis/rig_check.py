@@ -24,7 +24,7 @@ from pipeline.diagnosis.frame_sequence import MIN_FRAMES, SequenceDiagnosis, dia
 from pipeline.diagnosis.ripple import Diagnosis, diagnose, other_transfer
 from pipeline.errors import CalibrationError, FootageError
 from pipeline.footage.source import BadFrame, Source
-from pipeline.models import CameraState, FloatArray, ImageArray
+from pipeline.models import CameraState, CodeName, FloatArray, ImageArray
 from pipeline.robust import robust_sigma
 from pipeline.settings import DecodeSettings
 from tikernels import runtime
@@ -495,7 +495,7 @@ class _Reader:
         self._decoder = Decoder(settings, calibration, arch=arch)
 
     @property
-    def code(self) -> Literal["contrast"] | None:
+    def code(self) -> CodeName | None:
         """The pattern's code, by all that has been read."""
         return self._decoder.code
 

@@ -25,8 +25,8 @@ from tikernels.order_evidence.offset_labelling import connected_parts
 from tikernels.unwrapping.patches import PatchGraph
 from tikernels.unwrapping.surface_borders import Borders
 
-# What all of a clump is off its part's factor, as a standard deviation (light from a surface close by changes that), and
-# the smallest one of a block. A block may add as many variances, and counts as so many, for those side by side deviate
+# What all of a clump is off its part's factor, as a standard deviation (light from a surface close by changes that),
+# and the smallest one of a block. A block may add as many variances, and counts as so many: those side by side deviate
 # alike.
 _CLUMP_SIGMA, _MIN_SIGMA, _MAX_DEVIATION, _COUNTS = 0.03, 0.012, 9.0, 0.5
 # How often what a clump is off is fitted, each time with other weights.

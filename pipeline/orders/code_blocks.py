@@ -32,8 +32,8 @@ _MIN_WEIGHT, _MAX_MEAN_PHASE = 6.0, 0.3
 # weight. A cycle is as long as the longest of so many blocks.
 _ROW_WEIGHT = BLOCK_WIDTH * 8 / 15
 _BLUR, _NEAR_BLOCKS = 2 * np.pi**2 * VARIANCE_PX * _ROW_WEIGHT**2, 9
-# Variance of the logarithm, in units of the noise's: of a mean of three channels, and of the fringe in them; the weights
-# leave a mean of this share of the pixels.
+# Variance of the logarithm, in units of the noise's: of a mean of three channels, and of the fringe in them; a block's
+# weight counts as so many pixels.
 _OF_BACKGROUND, _OF_MODULATION, _COUNTED = 0.45, 0.9, 0.7
 
 
@@ -74,7 +74,8 @@ def read_blocks(sums: npt.NDArray[np.float32], graph: PatchGraph, width: int, ri
     root, first = graph.root[patch].astype(np.int64), graph.first[patch]
     column, row = first % width // CELL_WIDTH * BLOCKS + block, first // width // CELL_HEIGHT
     sort = np.lexsort((order if rising else -order, row, column, root))
-    patch, order, root, column, row, values = (a[sort] for a in (patch, order, root, column, row, values))
+    patch, order, root, column, row = (numbers[sort] for numbers in (patch, order, root, column.astype(np.int64), row))
+    values = values[sort]
     # A cycle that a cell's border cuts is put together again.
     fresh = np.ones(len(patch), np.bool_)
     fresh[1:] = (np.diff(root) != 0) | (np.diff(column) != 0) | (np.diff(order) != 0) | (np.diff(row) > 1)
@@ -94,7 +95,7 @@ def read_blocks(sums: npt.NDArray[np.float32], graph: PatchGraph, width: int, ri
     held = number >= 0
     share = values[held, TOTAL] / weight[number[held]]
     seen = (contrast, variance, modulation + background)
-    return Blocks(root, order, place, *seen, number[held], patch[held].astype(np.int64), share)
+    return Blocks(root, order, place, *seen, number[held], patch[held], share)
 
 
 def _taken_by_blur(weight: FloatArray, root: Integers, order: Integers, column: Integers) -> FloatArray:

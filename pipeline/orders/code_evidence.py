@@ -32,7 +32,8 @@ _INDEPENDENT = 0.6
 _SLOPE, _AMBIENT, _GAIN, _ANY_GAIN = 5e-4, 0.25, 0.08, 0.5
 # A part's blocks that are looked at, and the rounds in which a fit finds out which of them show something else.
 _MOST_BLOCKS, _ROUNDS = 300, 3
-# Of a part's blocks, those whose orders may lie outside the pattern at either end; and how probably a part shows no code.
+# Of a part's blocks, those whose orders may lie outside the pattern at either end; and how probably a part shows no
+# code.
 _STRAYS, _NO_CODE = 0.05, 0.1
 # Shifts of half a cell either way that are tried, which share of a cell is too far to be believed, and by how much
 # likelier one far off must be than no code at all.
@@ -42,8 +43,8 @@ _LEARNT = 3
 # By how much likelier than no code, or another one, a frame's largest parts must be (natural logarithm), and how much
 # that may count for other parts: where the rig has been turned a part of the picture may lie elsewhere.
 _SHOWN, _MOST_TRUST = 5.0, 12.0
-# A factor changes from surface to surface of a part: what is left of it is taken from so many blocks and rows of patches
-# around each, and at most so much of each. So it is where larger parts than this are not decided by that much.
+# A factor changes from surface to surface of a part: what is left of it is taken from so many blocks and rows of
+# patches around each, and at most so much of each. So it is where larger parts than this are not decided by that much.
 _AROUND, _MOST_LOCAL, _FLATTENED, _DECIDED = (17, 5), 0.2, 100, 30.0
 # Levels that stand for all of a code's.
 _LEVELS = 8
@@ -120,13 +121,14 @@ class CodeReader:
     def __init__(self, blocks: Blocks, code: ContrastCode, columns: StripeColumns | None) -> None:
         self.blocks = blocks
         self.cycles = CYCLES if columns is None else min(CYCLES, int(columns.cycles) + 1)
-        self._code, self._gamma, self._gain, self._shift_px = code, GAMMAS.index(2.0), None, 0.0
+        self.code, self._gamma, self._shift_px = code, GAMMAS.index(2.0), 0.0
+        self._gain: float | None = None
         # Logarithm by how much likelier the code lies where it is expected than anywhere else.
         self._trust = 0.0
-        #: (N, 4) where each block looks along the stripe: a polynomial of its order, in repeats of the code.
+        #: (N, 4) where each block looks along the stripe: terms of a polynomial of its order, px.
         self.columns, width_px = np.zeros((len(blocks.order), 4), np.float32), 0.0
         if code.cell_px is not None and columns is not None:
-            self.columns, width_px = columns.terms(blocks.place) / np.float32(code.repeats_px), columns.block_px
+            self.columns, width_px = columns.terms(blocks.place), columns.block_px
         #: (gammas, cycles, places)
         self.levels = code.levels(width_px)[:, : self.cycles]
 
@@ -144,9 +146,7 @@ class CodeReader:
         """
         inside = (orders >= 0) & (orders < self.cycles)
         orders, levels = np.clip(orders, 0, self.cycles - 1), self.levels[self._gamma]
-        along = column_at(self.columns[which], orders) + shift_px / self._code.repeats_px
-        places = np.floor(np.remainder(along, 1) * levels.shape[1]).astype(int) % levels.shape[1]
-        return levels[orders, places], inside
+        return levels[orders, self.code.place_at(column_at(self.columns[which], orders) + shift_px)], inside
 
     def fit(
         self,
@@ -190,7 +190,7 @@ class CodeReader:
         shape = Factor.shape(place, brightness, middle, usual)
         remains, variance = contrast[:, None] - expected, blocks.variance[which]
         likelihood, terms = fit_levels(remains, inside, shape, variance, self._gain)
-        if no_code and self._code.cell_px is not None:
+        if no_code and self.code.cell_px is not None:
             # Or as if every block had a symbol of its own, which no offset of the code has there.
             levels = self.levels[self._gamma, ::3, ::5]
             any_of = np.quantile(levels - levels.mean(), (np.arange(_LEVELS) + 0.5) / _LEVELS)
@@ -222,10 +222,10 @@ class CodeReader:
         departs = flat - usual - self.expected(which, blocks.order[which] + offset)[0]
         departs = np.clip(departs, -_MOST_LOCAL, _MOST_LOCAL)
         row, column = (blocks.place[which] / (CELL_HEIGHT, BLOCK_WIDTH)).astype(int).T
-        sums = np.zeros((2, np.ptp(row) + 1, np.ptp(column) + 1), np.float32)
         row, column = row - row.min(), column - column.min()
-        np.add.at(sums, (slice(None), row, column), np.stack([departs, np.ones(len(departs))]))
-        total, count = (cv2.blur(plane, _AROUND, borderType=cv2.BORDER_CONSTANT) for plane in sums)
+        shape = int(row.max()) + 1, int(column.max()) + 1
+        sums = [np.bincount(row * shape[1] + column, weights, np.prod(shape)) for weights in (departs, None)]
+        total, count = (cv2.blur(plane.reshape(shape).astype(np.float32), _AROUND, borderType=0) for plane in sums)
         return np.asarray(flat - (total / np.maximum(count, 1e-6))[row, column])
 
     def offsets(self, which: Integers) -> Integers:
@@ -249,8 +249,7 @@ class CodeReader:
         few = [some[:: -(-_LEARNT * len(some) // _MOST_BLOCKS)] for some in largest]
         fits = []
         for self._gamma in range(len(GAMMAS)):
-            read = [self.read(some) for some in few]
-            fits.append(sum(_log_sum(part.likelihood) for part in read))
+            fits.append(sum(_log_sum(self.fit(some, self.offsets(some))[0]) for some in few))
         self._gamma = int(np.argmax(fits))
         read = [self.read(some) for some in largest]
         more = sum(_log_sum(part.likelihood) - np.log(len(part.likelihood)) - part.no_code for part in read)
@@ -266,9 +265,9 @@ class CodeReader:
 
     def shift_near(self) -> float:
         """Return by how many px the code lies further along the stripe, at most half a cell, by the largest parts."""
-        if self._code.cell_px is None:
+        if self.code.cell_px is None:
             return 0.0
-        shifts = np.linspace(-0.5, 0.5, _SHIFTS) * self._code.cell_px
+        shifts = np.linspace(-0.5, 0.5, _SHIFTS) * self.code.cell_px
         total = np.zeros(_SHIFTS)
         for some in self._largest():
             read = self.read(some)
@@ -278,18 +277,18 @@ class CodeReader:
 
     def is_far(self, shift_px: float) -> bool:
         """Whether the code lies too far off to be read there."""
-        return self._code.cell_px is not None and abs(shift_px) > _MOST_SHIFT * self._code.cell_px
+        return self.code.cell_px is not None and abs(shift_px) > _MOST_SHIFT * self.code.cell_px
 
     def shift_anywhere(self) -> float | None:
         """Return the shift over half a repeat of the code either way, whatever the offsets; None: nothing tells."""
-        if self._code.cell_px is None:
+        if self.code.cell_px is None:
             return None
-        shifts = np.arange(-0.5, 0.5, 0.25 / WORD_CELLS) * self._code.repeats_px
+        shifts = np.arange(-0.5, 0.5, 0.25 / WORD_CELLS) * self.code.repeats_px
         total = np.zeros(len(shifts))
         for some in self._largest():
             offsets, few = self.offsets(some), some[:: -(-_LEARNT * len(some) // _MOST_BLOCKS)]
-            grid = [axis.ravel() for axis in np.meshgrid(offsets, shifts, indexing="ij")]
-            likelihood, _ = self.fit(few, grid[0], shifts_px=grid[1], no_code=True)
+            each, further = np.repeat(offsets, len(shifts)), np.tile(shifts, len(offsets))
+            likelihood, _ = self.fit(few, each, shifts_px=further, no_code=True)
             by_offset = likelihood[:-1].reshape(len(offsets), -1)
             total += np.logaddexp.reduce(by_offset, axis=0) - np.log(len(offsets)) - likelihood[-1]
         return _peak(shifts, total) if total.max(initial=0.0) > _SURE_SHIFT else None
@@ -297,7 +296,7 @@ class CodeReader:
     def shift(self, shift_px: float) -> None:
         """Read the code so many px further along the stripe."""
         self._shift_px = shift_px
-        self.columns[:, 0] += shift_px / self._code.repeats_px
+        self.columns[:, 0] += shift_px
 
     def again(self, other: "CodeReader") -> "CodeReader":
         """Return the reader of other blocks of the frame with what was learnt of it."""
@@ -341,9 +340,9 @@ def fit_levels(
     pairs = (terms[:, :, None] * terms[:, None]).reshape(len(terms), 16)
     noise = variance[:, None] + _FITTED**2
     # From the median on: what shows something else must not pull at the start.
-    fit = np.zeros((4, remains.shape[1]))
+    fit: FloatArray = np.zeros((4, remains.shape[1]))
     fit[0] = np.median(departs, axis=0)
-    normal = np.broadcast_to(prior, (remains.shape[1], 4, 4))
+    normal: FloatArray = np.broadcast_to(prior, (remains.shape[1], 4, 4))
     for _ in range(_ROUNDS):
         squares = (departs - terms @ fit) ** 2
         far = noise + _OTHER_SIGMA**2

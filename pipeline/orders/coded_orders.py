@@ -2,8 +2,8 @@
 
 The logarithm of the contrast is the code's but for a factor that changes slowly (`code_blocks`). Regions that the code
 contradicts are cut (`region_cutting`). Every part gets a posterior over its offsets by what its blocks show
-(`code_evidence`) and by where the rest of the frame is (`nearness`). Patches that lie on the wrong side of a border move
-to the other one (`border_settling`). `docs/coded_pattern.md` has the derivation.
+(`code_evidence`) and by where the rest of the frame is (`nearness`). Patches that lie on the wrong side of a border
+move to the other one (`border_settling`). `docs/coded_pattern.md` has the derivation.
 """
 
 from dataclasses import dataclass, replace

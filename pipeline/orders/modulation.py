@@ -102,10 +102,9 @@ def measure_ripples(
         # The raw phase, in the smoothed one's cycle.
         seen.append(smooth + np.remainder(raw[here] - smooth + np.pi, 2 * np.pi) - np.pi)
         cycles = smooth / (2 * np.pi)
-        along = np.zeros(len(cycles))
+        place = np.zeros(len(cycles), np.int64)
         if code.cell_px is not None and columns is not None:
-            along = column_at(columns.terms(np.column_stack(here)), cycles) / code.repeats_px
-        place = np.floor(np.remainder(along, 1) * table.shape[1]).astype(int) % table.shape[1]
+            place = code.place_at(column_at(columns.terms(np.column_stack(here)), cycles))
         ripples = table[np.clip(np.rint(cycles * TABLED), 0, len(table) - 1).astype(int), place].T
         edges = np.linspace(-0.5, 0.5, within.shape[1])
         linear, square = (np.interp(cycles, edges, row, period=1) for row in within)

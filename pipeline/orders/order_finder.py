@@ -272,10 +272,15 @@ class OrderFinder:
             return False, None
         known, corrected = orders.known, False
         if known.any():
-            arrays = (runtime.to_host(array) for array in (raw, out.unwrapped, out.region))
-            within, columns = modulation_tables(seen.correction), self._columns
             ripples = measure_ripples(
-                *arrays, known, within=within, period_px=seen.period_px, code=self.code, columns=columns
+                runtime.to_host(raw),
+                runtime.to_host(out.unwrapped),
+                runtime.to_host(out.region),
+                known,
+                within=modulation_tables(seen.correction),
+                period_px=seen.period_px,
+                code=self.code,
+                columns=self._columns,
             )
             correct_by_modulation(out.region, out.unwrapped, known, ripples, out=raw)
             corrected = True
@@ -306,9 +311,9 @@ class OrderFinder:
             self._columns = StripeColumns(self._geometry, runtime.to_host(rays.rays))
         sums = measure_contrast(seen.image, seen.crosstalk, seen.gains, seen.phase, seen.modulation, patches)
         rising = float(runtime.to_host(seen.rates)[-1, RATE_ACROSS]) > 0
-        width = int(seen.image.shape[1])
+        width, code = int(seen.image.shape[1]), self.code or ContrastCode.named("contrast")
         return find_absolute_orders(
-            sums, graph, self.code, self._columns, width=width, rising=rising, noise=seen.noise, order_range=order_range
+            sums, graph, code, self._columns, width=width, rising=rising, noise=seen.noise, order_range=order_range
         )
 
     def _place_by_depth(

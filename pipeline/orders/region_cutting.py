@@ -21,8 +21,8 @@ from tikernels.order_evidence.offset_labelling import (
 )
 from tikernels.unwrapping.patches import PatchGraph
 
-# Smallest standard deviation of a block's contrast: what its surface's factor may be off by. Blocks side by side deviate
-# alike: each counts as this many.
+# Smallest standard deviation of a block's contrast: what its surface's factor may be off by. Blocks side by side
+# deviate alike: each counts as this many.
 _MIN_SIGMA, _COUNTS = 0.03, 0.5
 # What a single block may add to the squared deviation from the code, in variances, that is three standard deviations:
 # edges and blemishes deviate by more, and must not decide alone.
@@ -111,7 +111,7 @@ def _evidence(
     shares = held[0], held[1], _COUNTS * held[2]
     code = reader.levels_now
     return weigh_offsets(
-        shares, blocks.order[own], level - usual, sigma, reader.columns[own], code,
+        shares, blocks.order[own], level - usual, sigma, reader.columns[own] / np.float32(reader.code.repeats_px), code,
         range(int(offsets[0]), int(offsets[-1]) + 1), patches, _MAX_DEVIATION,
     )  # fmt: skip
 

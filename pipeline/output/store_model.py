@@ -10,7 +10,7 @@ from pipeline.decoding.front_side import RimVotes
 from pipeline.decoding.self_calibration import LightEstimate
 from pipeline.errors import DamageError
 from pipeline.limits import MOST_FRAMES
-from pipeline.models import first_fault
+from pipeline.models import CodeName, first_fault
 
 _Count = Annotated[int, Field(ge=0, le=MOST_FRAMES)]
 # A plain name: it chooses what is read.
@@ -40,7 +40,7 @@ class StoreAttributes(_Said):
     footage: _Footage | None = None
     step: Annotated[int, Field(ge=1, le=MOST_FRAMES)] = 1
     rims: dict[Literal["falls", "grows", "needed"], _Count] = {}
-    code: Literal["contrast"] | None = None
+    code: CodeName | None = None
     light: Any = None
     camera: Lens | None = None
 

@@ -13,15 +13,14 @@ from dataclasses import dataclass
 from math import atan, atan2, degrees, inf, pi, tan
 from typing import Annotated, Literal
 
-import cv2
 import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 
 from pipeline.calibration import Calibration, Lens, Pattern
-from pipeline.calibration.model import DEFAULT_PROJECTOR_PX, Geometry
+from pipeline.calibration.model import DEFAULT_CODE, DEFAULT_PROJECTOR_PX, Geometry
 from pipeline.errors import FootageError
 from pipeline.limits import check_size
-from pipeline.models import FloatArray, Model, Positive
+from pipeline.models import CodeName, FloatArray, Model, Positive
 
 # Nothing that is sold for such a rig lies outside these bounds, in the unit of the field's name.
 _Side = Annotated[int, Field(ge=64, lt=2**20)]
@@ -122,14 +121,14 @@ class RigChoice(Model):
         """The same of the projector: the throw ratio is its distance over the width of its picture."""
         return self.throw_ratio * self.projector_px[0]
 
-    def calibration(self, period_px: float, code: Literal["contrast"] | None = "contrast") -> Calibration:
+    def calibration(self, period_px: float, code: CodeName | None = DEFAULT_CODE) -> Calibration:
         """Return the calibration of this rig, built without a fault.
 
         Parameters
         ----------
         period_px : float
             Projector px per cycle.
-        code : {"contrast"}, optional
+        code : {"contrast", "contrast2"}, optional
             The pattern's.
         """
         # The projector stands across the stripes, and its axis meets the camera's at the object.
@@ -144,8 +143,8 @@ class RigChoice(Model):
             projector=_lens(self.projector_px, self.projector_focal_px),
             rotation=rotation,
             translation_mm=-rotation @ centre,
-            pattern=Pattern(period_px=period_px, stripes=self.stripes, code=code),
-        )
+            pattern=Pattern(period_px=period_px, stripes=self.stripes),
+        ).with_pattern(code=code)
 
 
 def _lens(size_px: tuple[int, int], focal_px: float) -> Lens:
@@ -192,7 +191,7 @@ def seen_fields(choice: RigChoice) -> SeenFields:
     overlap = np.minimum(camera[1], projector[1]) - np.maximum(camera[0], projector[0])
     x, y = (np.linspace(camera[0, axis], camera[1, axis], _GRID) for axis in (0, 1))
     points = np.stack(np.meshgrid(x, y, choice.distance_mm), axis=-1).reshape(-1, 3)
-    pixels = _projected(geometry, points)
+    pixels = geometry.projector_px(points)
     lit = np.all((pixels >= -0.5) & (pixels <= np.array(choice.projector_px) - 0.5), axis=1)
     middle = (np.array(choice.projector_px) - 1) / 2
     reached = np.abs(pixels - middle) / (np.array(choice.projector_px) / 2)
@@ -244,14 +243,6 @@ def _on_the_plane(geometry: Geometry, pixels: FloatArray, distance_mm: float) ->
     rays = np.column_stack([(pixels - matrix[:2, 2]) / np.diag(matrix)[:2], np.ones(len(pixels))]) @ geometry.rotation
     centre = -geometry.rotation.T @ geometry.translation_mm
     return np.asarray(centre[:2] + rays[:, :2] * ((distance_mm - centre[2]) / rays[:, 2:]))
-
-
-def _projected(geometry: Geometry, points: FloatArray) -> FloatArray:
-    """Return where the projector sees points (N, 3) in the camera's frame, (N, 2) px."""
-    turn = cv2.Rodrigues(geometry.rotation)[0]
-    return np.asarray(
-        cv2.projectPoints(points, turn, geometry.translation_mm, geometry.projector.matrix, None)[0][:, 0]
-    )
 
 
 def _pair(values: FloatArray) -> tuple[float, float]:

@@ -22,16 +22,17 @@ the geometry; the decoder's model of the light takes a part of it off (`docs/pla
 """
 
 from dataclasses import dataclass, replace
-from math import ceil, exp, floor, inf, log, pi, radians, sin, sqrt
+from math import ceil, exp, floor, inf, log, nan, pi, radians, sin, sqrt
 from typing import Any, Literal
 
 import numpy as np
 
 from hardware.colour_cycle import check_exposure
 from pipeline.calibration.board import Board
-from pipeline.contrast_code import CYCLES, ContrastCode
+from pipeline.calibration.model import DEFAULT_CODE
+from pipeline.contrast_code import CYCLES, WORD_CELLS, ContrastCode
 from pipeline.errors import SettingsError
-from pipeline.models import FloatArray, build
+from pipeline.models import CodeName, FloatArray, build
 from pipeline.pattern import CHANNEL_PHASES
 from pipeline.planning.expected_calibration import planned_bias_mm
 from pipeline.planning.rig_choice import FringeGeometry, RigChoice, SeenFields, angle_deg, fringe_geometry, seen_fields
@@ -82,8 +83,10 @@ _LEAST_PROJECTOR_PX = 8.0
 # With fewer cycles in view a frame does not determine crosstalk and response at all (`docs/calibration.md`); with fewer
 # than the other it leaves as much of the response as half of the usual noise (`_NOISELESS_RAD`).
 _LEAST_CYCLES, _ENOUGH_CYCLES = 4.0, 28.0
-# A surface of so many cycles of its own is placed by the code under an ordinary projector (`docs/coded_pattern.md`).
+# A surface of so many cycles of its own is placed by "contrast" under an ordinary projector; by "contrast2" one of so
+# many cycles and cells (`docs/coded_pattern.md`).
 _CODE_CYCLES = 9
+_CODE_WINDOWS = ((2, 8), (4, 4))
 # Orders are carried from frame to frame while the phase changes by less (`docs/accuracy.md`), cycles.
 _CARRIED = 1 / 3
 # Of baseline and distance. Beyond the one a step hides half of its height or more; below the other a cycle is 14 times
@@ -146,6 +149,7 @@ def expected_phase_sigma(
     bits: int,
     sensor: Literal["bayer", "rgb"],
     cycles_in_view: float,
+    code: CodeName = DEFAULT_CODE,
 ) -> float:
     """Return the standard deviation of a pixel's decoded phase on a smooth surface.
 
@@ -165,11 +169,13 @@ def expected_phase_sigma(
         Whether a pixel has one colour or all three.
     cycles_in_view : float
         How many cycles of the fringe the camera sees.
+    code : {"contrast", "contrast2"}
+        The pattern's.
 
     Returns
     -------
     float
-        rad, RMS over the cycles of the coded pattern.
+        rad, RMS over the cycles of the pattern.
 
     Examples
     --------
@@ -177,11 +183,10 @@ def expected_phase_sigma(
     >>> round(expected_phase_sigma("white", **camera, cycles_in_view=40), 4)
     0.0064
     """
-    cycles = np.arange(CYCLES * _SAMPLES) / _SAMPLES
-    light = _light(cycles, 0.0, surface)
-    background = light.reshape(CYCLES, _SAMPLES, 3).mean(axis=(0, 1))
+    light, before, after = (_light(shift, surface, code) for shift in (0.0, -_SHIFT, _SHIFT))
+    background = light.mean(axis=0)
     scale = 255 * brightness / (background + contrast * (light - background)).max()
-    slope = scale * contrast * (_light(cycles, _SHIFT, surface) - _light(cycles, -_SHIFT, surface)) / (2 * _SHIFT)
+    slope = scale * contrast * (after - before) / (2 * _SHIFT)
     direction = light / np.linalg.norm(light, axis=1, keepdims=True)
     across = slope - np.sum(slope * direction, axis=1, keepdims=True) * direction
     noise = (noise_levels**2 + (255 / (2**bits - 1)) ** 2 / 12) * _VARIANCE[sensor]
@@ -191,10 +196,13 @@ def expected_phase_sigma(
     return float(np.sqrt(left * variance + noiseless_rad**2))
 
 
-def _light(cycles: FloatArray, shift: float, surface: str) -> FloatArray:
-    """Return what the camera's channels see of the pattern, its phase shifted by this (rad), (N, 3)."""
-    modulation = ContrastCode.named("contrast").modulation(cycles)[:, None]
-    wave = np.cos(2 * np.pi * cycles[:, None] + shift + np.array(CHANNEL_PHASES))
+def _light(shift: float, surface: str, code: CodeName) -> FloatArray:
+    """Return what the camera's channels see all over the pattern, its phase shifted by this (rad), (N, 3)."""
+    cycles = np.arange(CYCLES * _SAMPLES)[:, None] / _SAMPLES
+    # Along the stripe no two samples of a cycle are alike, and all are evenly spread over the code's cells.
+    cells = np.modf(cycles * _SAMPLES * (sqrt(5) - 1) / 2)[0] * WORD_CELLS
+    modulation = ContrastCode.named(code, None if code == "contrast" else 1.0).modulation(cycles, cells)
+    wave = np.cos(2 * np.pi * cycles + shift + np.array(CHANNEL_PHASES))
     primaries = (1 - modulation + modulation * wave) ** _GAMMA
     return np.asarray(primaries @ np.array(TYPICAL_CROSSTALK).T * np.array(REFLECTANCES[surface]))
 
@@ -238,8 +246,16 @@ class RigPlan:
 
     @property
     def code_mm(self) -> float:
-        """The least length of a surface across the stripes to be placed by the code alone, mm."""
+        """The least length of a surface across the stripes to be placed by "contrast" alone, mm."""
         return _CODE_CYCLES * self.fringe.pitch_mm
+
+    @property
+    def windows_mm(self) -> tuple[tuple[float, float], ...]:
+        """The least surfaces to be placed by "contrast2" alone: across and along the stripes, mm."""
+        geometry = self.choice.calibration(self.period_px, "contrast2").geometry()
+        cell_mm = geometry.camera_px_along(self.choice.distance_mm) * self.fields.mm_per_px
+        cell_mm *= geometry.pattern.cell_px or nan
+        return tuple((cycles * self.fringe.pitch_mm, cells * cell_mm) for cycles, cells in _CODE_WINDOWS)
 
     @property
     def passed_mm(self) -> float:

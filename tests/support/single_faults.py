@@ -44,10 +44,10 @@ def diagnosed(image, white_level):
     return diagnose(image, white_level, frame.unwrapped_phase, frame.mask)
 
 
-def diagnosed_as_known(scene, seed, *, compensated, size_px=(640, 480), known=None, **settings):
-    """Return what is said of a frame under the coded pattern, whose rig is known; `known` is what is known wrongly."""
+def diagnosed_as_known(scene, seed, *, compensated, size_px=(640, 480), known=None, code="contrast", **settings):
+    """Return what is said of a frame under a coded pattern, whose rig is known; `known` is what is known wrongly."""
     period_px = 640 / size_px[0] * 768 / 44
-    rig = simulated_rig(size_px, period_px=period_px, tilt_deg=(-12.0, 0.0, 9.0)[seed % 3], code="contrast")
+    rig = simulated_rig(size_px, period_px=period_px, tilt_deg=(-12.0, 0.0, 9.0)[seed % 3], code=code)
     geometry = rig.geometry()
     codes = make_pattern(geometry.projector.size_px, geometry.pattern, RESPONSE if compensated else None)
     codes = (np.rint(255 * codes) / 255).astype(np.float32)

@@ -20,8 +20,8 @@ FLOORS = {
     ),
     "pipeline": (
         "errors text causes showing limits linear_algebra models settings robust files locking processes zarr_chunks "
-        "footage recording calibration pattern decoding orders decoder simulation planning output diagnosis batch "
-        "acquisition verification cli"
+        "footage recording calibration contrast_code pattern decoding orders decoder simulation planning output "
+        "diagnosis batch acquisition verification cli"
     ),
     "hardware": (
         "errors drivers settings pulses protocols link display colour_cycle run_start pairing pulse_run "

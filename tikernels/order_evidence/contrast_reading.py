@@ -136,8 +136,8 @@ def measure_contrast(
     Returns
     -------
     (P, ORDER_SLOTS, BLOCKS, 4) float32
-        By patch, by the order in it with 0 in the middle, and by block: the sum of the weights, and the weighted sums of
-        modulation and background (levels) and of the phase (rad).
+        By patch, by the order in it with 0 in the middle, and by block: the sum of the weights, and the weighted sums
+        of modulation and background (levels) and of the phase (rad).
 
     Raises
     ------

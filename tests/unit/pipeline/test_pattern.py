@@ -5,88 +5,73 @@ import json
 import numpy as np
 import pytest
 
-from pipeline.calibration import Pattern
-from pipeline.errors import OutputError, SettingsError
+from pipeline.calibration import Calibration, Pattern
+from pipeline.contrast_code import CYCLES, ContrastCode
+from pipeline.errors import CalibrationError, OutputError, SettingsError
 from pipeline.footage.image_file import read_image
-from pipeline.pattern import (
-    CONTRASTS,
-    CYCLES,
-    contrast_levels,
-    contrast_steps,
-    cycle_contrasts,
-    make_pattern,
-    modulation_at,
-    write_pattern,
+from pipeline.pattern import make_pattern, write_pattern
+from pipeline.simulation import simulated_rig
+
+CODED = (
+    Pattern(period_px=768 / 44, code="contrast"),
+    Pattern(period_px=768 / 44, code="contrast2", cell_px=8.7),
+    Pattern(period_px=768 / 44, stripes="vertical", code="contrast2", cell_px=8.7),
 )
-from tikernels.phase.balance_window import SIGMA_ACROSS
 
 
-def distances(length: int) -> np.ndarray:
-    """Return the squared distance of every two stretches of `length` cycles by their steps, in distances of symbols."""
-    symbols = np.searchsorted(CONTRASTS, cycle_contrasts())
-    steps = np.lib.stride_tricks.sliding_window_view(np.diff(symbols), length - 1)
-    apart = ((steps[:, None] - steps[None]) ** 2).sum(axis=-1)
-    return apart[np.triu_indices(len(steps), 1)]
-
-
-@pytest.mark.parametrize(("length", "least"), [(5, 1), (6, 1), (7, 2), (8, 2), (10, 3), (12, 5)])
-def test_no_two_stretches_change_alike(length, least):
-    """Six cycles and more name their place, whatever gain the contrast has."""
-    assert distances(length).min() >= least
-
-
-def test_a_pattern_holds_a_sinusoid_that_is_as_bright_as_can_be():
-    pattern = Pattern(period_px=768 / 44, code="contrast")
-    codes = make_pattern((4, 768), pattern)[:, 0].astype(np.float64)
-    cycles = np.arange(768) / pattern.period_px
-    np.testing.assert_allclose(codes.mean(axis=1), 1 - modulation_at(cycles), atol=1e-6)
-    middles = np.arange(CYCLES)
-    np.testing.assert_allclose(modulation_at(middles) / (1 - modulation_at(middles)), cycle_contrasts(), atol=1e-12)
+@pytest.mark.parametrize("pattern", CODED, ids=lambda pattern: f"{pattern.code} {pattern.stripes}")
+def test_a_pattern_holds_a_sinusoid_that_is_as_bright_as_can_be(pattern):
+    size_px = (160, 768) if pattern.stripes == "horizontal" else (768, 160)
+    codes = make_pattern(size_px, pattern).astype(np.float64)
+    codes = codes if pattern.stripes == "horizontal" else codes.swapaxes(0, 1)
+    cycles = np.arange(768)[:, None] / pattern.period_px
+    modulation = ContrastCode.of(pattern).modulation(cycles, np.arange(160))
+    np.testing.assert_allclose(codes.mean(axis=-1), np.broadcast_to(1 - modulation, (768, 160)), atol=1e-6)
     vector = codes @ np.exp(-1j * np.array([-1, 0, 1]) * 2 * np.pi / 3) * 2 / 3
-    np.testing.assert_allclose(np.abs(vector), modulation_at(cycles), atol=1e-6)
+    np.testing.assert_allclose(np.abs(vector), np.broadcast_to(modulation, (768, 160)), atol=1e-6)
     np.testing.assert_allclose(np.angle(vector * np.exp(-2j * np.pi * cycles)), 0, atol=1e-5)
     assert codes.min() >= 0 and codes.max() <= 1
-    assert 0.5 / np.sqrt(CONTRASTS[0] / (1 + CONTRASTS[0]) * 0.5) < 1.1, "what the code costs on average"
-
-
-def test_the_code_hardly_leaks_into_the_mean_of_a_channel():
-    """The balance window, a Gaussian, sees each channel's mean to 0.4 %: 0.003 rad."""
-    period = 16
-    codes = make_pattern((1, 100 * period), Pattern(period_px=period, code="contrast"))[:, 0].astype(np.float64)
-    reach = np.arange(-6 * period, 6 * period + 1)
-    taps = np.exp(-0.5 * (reach / (SIGMA_ACROSS * period)) ** 2)
-    means = np.stack([np.convolve(channel, taps / taps.sum(), "valid") for channel in codes.T])
-    assert np.abs(means / means.mean(axis=0) - 1).max() < 0.012
-    assert np.sqrt(np.mean((means / means.mean(axis=0) - 1) ** 2)) < 0.004
+    # Every cycle and cell is as bright as the projector can be.
+    middles = np.rint(np.arange(1, 43) * pattern.period_px).astype(int)
+    assert codes[middles, :, 1].min() > 0.98
 
 
 def test_more_cycles_than_the_code_tells_apart():
     assert make_pattern((1, CYCLES * 4), Pattern(period_px=4, code="contrast")).shape == (CYCLES * 4, 1, 3)
-    with pytest.raises(SettingsError, match=r"distinguishes 136 cycles.*take a period of 8 px or more"):
-        make_pattern((4, 8 * CYCLES), Pattern(period_px=4, code="contrast"))
+    for code in ({"code": "contrast"}, {"code": "contrast2", "cell_px": 2}):
+        with pytest.raises(SettingsError, match=r"distinguishes 136 cycles.*take a period of 8 px or more"):
+            make_pattern((4, 8 * CYCLES), Pattern(period_px=4, **code))
 
 
-def test_levels_of_a_strength():
-    """In linear light the middles of cycles show the code, softened by their neighbours; less strength bends it."""
-    levels, symbols = contrast_levels(), np.searchsorted(CONTRASTS, cycle_contrasts())
-    softened = np.convolve(np.pad(np.log(cycle_contrasts()), 1, "edge"), [0.08, 0.84, 0.08], "valid")
-    np.testing.assert_allclose(levels, softened, atol=0.01)
-    for strength in (0.2, 0.35, 0.6, 1.1):
-        assert np.ptp(contrast_levels(strength)) == pytest.approx(strength * np.ptp(levels))
-    # Three cycles alike show their symbol: at gamma 2 the logarithms of 1.144, 1.256 and 1.333, the response's means.
-    alike = np.flatnonzero((np.diff(symbols)[:-1] == 0) & (np.diff(symbols)[1:] == 0)) + 1
-    shown = [contrast_levels(0.4665)[alike[symbols[alike] == symbol]].mean() for symbol in (0, 2)]
-    assert shown[1] - shown[0] == pytest.approx(np.log(1.3333 / 1.1438), rel=0.02)
-
-
-def test_no_strength_no_levels():
-    assert not np.any(contrast_levels(0.0)) and not np.any(contrast_steps(0.0))
-
-
-def test_a_written_pattern_names_its_code(tmp_path):
-    write_pattern(tmp_path / "p.png", (64, 64), Pattern(period_px=16, stripes="vertical", code="contrast"))
+@pytest.mark.parametrize("code", [{}, {"code": "contrast"}, {"code": "contrast2", "cell_px": 8.5}])
+def test_a_written_pattern_names_its_code(tmp_path, code):
+    pattern = Pattern(period_px=16, stripes="vertical", **code)
+    write_pattern(tmp_path / "p.png", (64, 64), pattern)
     described = json.loads((tmp_path / "p.json").read_text())
-    assert Pattern(**described) == Pattern(period_px=16, stripes="vertical", code="contrast")
+    assert described["code_version"] == 1 and Pattern(**described) == pattern
+    without = {key: value for key, value in described.items() if key not in ("code_version", "compensated")}
+    assert Pattern(**without) == pattern, "files without a version are of the first"
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"code_version": 2}, "version 2 of a code was made by a newer colorphase: update this one to read it"),
+        ({"code_version": 0}, "must be 1, got 0"),
+        ({"cell_px": None}, "cell_px is how wide the cells of contrast2 are"),
+        ({"code": "contrast"}, "cell_px is how wide the cells of contrast2 are"),
+        ({"code": None}, "cell_px is how wide the cells of contrast2 are"),
+        ({"cell_px": 1.5}, "must be a number from 2"),
+        ({"code": "contrast3"}, 'must be "contrast" or "contrast2"'),
+    ],
+)
+def test_calibrations_whose_pattern_cannot_be(tmp_path, change, message):
+    rig = simulated_rig(code="contrast2").model_dump(mode="json")
+    (tmp_path / "rig.json").write_text(json.dumps(rig | {"pattern": rig["pattern"] | change}))
+    with pytest.raises(CalibrationError) as refused:
+        Calibration.read(tmp_path / "rig.json")
+    said = str(refused.value)
+    assert message in said and "rig.json: pattern" in said and "\n" not in said
 
 
 @pytest.mark.parametrize("stripes", ["horizontal", "vertical"])
@@ -101,7 +86,8 @@ def test_the_pattern(tmp_path, stripes):
     np.testing.assert_allclose(np.unwrap(phase), 2 * np.pi * np.arange(len(line)) / 16, atol=1e-5)
     write_pattern(tmp_path / "P.png", (64, 48), pattern)
     assert np.abs(read_image(tmp_path / "P.png") / 255 - codes).max() <= 0.5 / 255 + 1e-6
-    assert json.loads((tmp_path / "P.json").read_text()) == {"period_px": 16.0, "stripes": stripes, "code": None}
+    described = {"period_px": 16.0, "stripes": stripes, "code": None, "code_version": 1, "cell_px": None}
+    assert json.loads((tmp_path / "P.json").read_text()) == described
 
 
 def test_patterns_that_cannot_be(tmp_path):
@@ -125,9 +111,9 @@ def light_of(codes):
     return np.stack([np.interp(codes[..., j], CODES, RESPONSE[j]) for j in range(3)], axis=-1)
 
 
-@pytest.mark.parametrize("code", [None, "contrast"])
+@pytest.mark.parametrize("code", [{}, {"code": "contrast"}, {"code": "contrast2", "cell_px": 8}])
 def test_the_light_is_scaled(code):
-    pattern = Pattern(period_px=16, code=code)
+    pattern = Pattern(period_px=16, **code)
     bright = make_pattern((64, 96), pattern, RESPONSE)
     dim = make_pattern((64, 96), pattern, RESPONSE, BRIGHTNESS)
     np.testing.assert_allclose(light_of(dim), BRIGHTNESS * light_of(bright), atol=1e-6)

@@ -76,6 +76,7 @@ def test_contrast_fewer_bits_and_a_darker_colour_cost():
     usual = expected_phase_sigma("white", **CAMERA)
     assert expected_phase_sigma("white", **{**CAMERA, "contrast": 0.5}) > 1.25 * usual
     assert expected_phase_sigma("skin", **CAMERA) > 1.2 * usual
+    assert 0.98 < expected_phase_sigma("white", **CAMERA, code="contrast2") / usual < 1.0, "higher contrasts"
     quiet = {**CAMERA, "noise_levels": 0.0}
     assert expected_phase_sigma("white", **{**quiet, "bits": 8}) > expected_phase_sigma(
         "white", **{**quiet, "bits": 12}

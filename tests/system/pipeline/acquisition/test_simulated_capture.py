@@ -103,6 +103,21 @@ def test_the_calibration_is_its_own_or_the_files(tmp_path):
     assert calibration.digest() == own_calibration().digest()
 
 
+@pytest.mark.parametrize("code", ["contrast", "contrast2"])
+@pytest.mark.usefixtures("cpu")
+def test_it_shows_the_code_of_its_calibration(monkeypatch, tmp_path, code):
+    tasks = []
+    dark = np.zeros((4, 4, 3), np.uint16)
+    monkeypatch.setattr(
+        simulated_capture, "render_elsewhere", lambda task, step: tasks.append(task) or Scene(((dark, dark),) * 2)
+    )
+    simulated_truth(code).write(tmp_path / "rig.json")
+    named = SETTINGS.model_copy(update={"calibration": str(tmp_path / "rig.json")})
+    simulated_instruments(named, "cpu", lambda step: None)
+    assert tasks[0].code == code
+    assert simulate_place(0, 2, tasks[0].scene, tasks[0].code).rig.digest() == simulated_truth(code).digest()
+
+
 @pytest.mark.usefixtures("cpu", "rendered_here")
 def test_a_webcam_encodes_light_and_its_calibration_says_so():
     """Linear light comes back to 3 %, two levels and what JPEG leaves; to 10 % where it was sharpened."""

@@ -30,7 +30,7 @@ from pipeline.output.store import chosen_fields
 from pipeline.output.stored_result import StoredResult
 from pipeline.recording.recorder import Recorder
 from pipeline.recording.video_export import export_video
-from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
+from pipeline.simulation import TYPICAL_CROSSTALK, SimulationSettings, simulate_frame, simulated_rig
 from tikernels.raw.pixel_format import PixelFormat
 
 pytestmark = pytest.mark.usefixtures("cpu")
@@ -662,6 +662,18 @@ def test_a_transfer_against_the_files_is_told(job, tmp_path):
         each = replace(job, settings=settings, store=str(tmp_path / f"{transfer}.zarr"))
         notes = decode_footage(each).notes
         assert sum("decoded as linear, as you or the calibration say, not as srgb" in note for note in notes) == n_notes
+
+
+def test_a_code_that_the_calibration_states_is_stored(tmp_path, job):
+    """And the job goes on with it where it was."""
+    rig = simulated_rig((160, 120), period_px=4 * 768 / 44, code="contrast2")
+    with Recorder(tmp_path / "film.zarr", PixelFormat("rgb")) as recorder:
+        recorder.add(simulate_frame(rig, SimulationSettings(scene="plane")).image)
+    calibration = rig.model_copy(update={"crosstalk_matrix": np.array(TYPICAL_CROSSTALK)})
+    job = replace(job, footage=str(tmp_path / "film.zarr"), calibration=calibration)
+    for before in (0, 1):
+        assert decode_footage(job).n_before == before
+        assert StoredResult(job.store).attributes["code"] == "contrast2"
 
 
 def test_a_code_that_footage_shows_is_learnt_once_for_all_frames(tmp_path, job):

@@ -151,7 +151,8 @@ def posed(monkeypatch):
 
 
 def test_a_verdict_follows_the_figures(posed, command, tmp_path):
-    done = command(*ARGUMENTS, "--square-mm", "26", *SECOND, "--out", "rig.json")
+    coded = (*ARGUMENTS[:-1], "contrast2", "--period", "8")
+    done = command(*coded, "--square-mm", "26", *SECOND, "--out", "rig.json")
     assert done.returncode == 0, done.stderr
     assert "depth bias to be expected" in done.stdout and "note: pose_99: no board is seen" in done.stdout
     worst, verdict, scale, wrote = done.stdout.strip().splitlines()[-4:]
@@ -160,8 +161,11 @@ def test_a_verdict_follows_the_figures(posed, command, tmp_path):
     assert scale == "scale proven by the second board; camera and projector stand 180.0 mm apart"
     assert wrote == "wrote rig.json and rig-geometry.png"
     assert (tmp_path / "rig-geometry.png").read_bytes().startswith(b"\x89PNG")
-    found = json.loads((tmp_path / "rig.json").read_text())
-    assert found["scale_proof"] == "second board" and found["sensor"]["offset_px"] == [8, 6]
+    rig = Calibration.read(tmp_path / "rig.json")
+    assert rig.scale_proof == "second board" and rig.sensor.offset_px == (8, 6)
+    assert (rig.pattern.code, rig.pattern.period_px) == ("contrast2", 8)
+    assert rig.pattern.cell_px == pytest.approx(rig.with_pattern(code="contrast2").pattern.cell_px)
+    assert rig.pattern.cell_px > 4, "by the geometry, which has just been found"
 
 
 def test_a_picture_that_cannot_be_written_is_one_line(posed, command, tmp_path):
@@ -272,6 +276,12 @@ def test_a_calibration_is_converted_for_a_camera_that_bins_a_part_of_its_sensor(
     assert done.returncode == 0 and "camera 128x104, projector 1024x768, 180.0 mm apart" in done.stdout, done.stderr
     found = Calibration.read(tmp_path / "new.json")
     assert found.digest() == whole.cropped(32, 16, (256, 208)).binned(2, 2).digest()
+    done = command(
+        "calibrate", "import", "calibration.json", *options[:-1], "coded.json", "--code", "contrast2", cwd=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    assert Calibration.read(tmp_path / "coded.json").digest() == found.with_pattern(code="contrast2").digest()
+    assert found.with_pattern(code="contrast2").pattern.cell_px > whole.with_pattern(code="contrast2").pattern.cell_px
     for wrong, message in (
         (("--region", "32,16,300,208"), "sticks out of the 320x240 px"),
         (("--region", "32,16,0,208"), "give x,y,width,height in px"),

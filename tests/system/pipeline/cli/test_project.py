@@ -114,6 +114,19 @@ def test_a_pattern_has_the_size_that_was_asked_for(command, tmp_path):
     assert described["stripes"] == "horizontal" and described["code"] == "contrast"
 
 
+def test_a_pattern_that_needs_a_geometry_says_so_where_there_is_none(command, tmp_path):
+    status, _, said = command("pattern", "p.png", "--size", "320x240", "--code", "contrast2", "--period", "12")
+    assert status == 0 and said.count("\n") <= 2 and "contrast2 is decoded by a calibrated geometry only" in said
+    described = json.loads((tmp_path / "p.json").read_text())
+    assert (described["code"], described["code_version"], described["cell_px"]) == ("contrast2", 1, 6)
+    assert np.ptp(read_image(tmp_path / "p.png"), axis=1).max() > 20, "a picture, not lines"
+    response = np.tile(np.linspace(0, 1, 256), (3, 1))
+    simulated_rig(code="contrast2").model_copy(update={"response": response}).write(tmp_path / "rig.json")
+    assert command("pattern", "q.png", "--calibration", "rig.json") == (0, "", "")
+    described = json.loads((tmp_path / "q.json").read_text())
+    assert (described["code"], described["cell_px"]) == ("contrast2", pytest.approx(768 / 88))
+
+
 def test_a_plain_pattern_is_asked_for(command, tmp_path):
     assert command("pattern", "plain.png", "--size", "320x240", "--code", "none") == (0, "", "")
     assert json.loads((tmp_path / "plain.json").read_text())["code"] is None

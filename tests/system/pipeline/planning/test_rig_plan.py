@@ -24,6 +24,17 @@ def test_the_usual_rig_needs_no_warning():
     assert plan.fringe.depth_per_cycle_mm == pytest.approx(2 * math.pi * plan.fringe.depth_per_rad_mm, rel=0.01)
 
 
+def test_the_second_code_places_smaller_surfaces():
+    """Of two cycles by eight cells of half a cycle, which are as wide as high, or four by four."""
+    plan = plan_rig()
+    assert plan.code_mm == 9 * plan.fringe.pitch_mm
+    pitch = plan.fringe.pitch_mm
+    for window, (cycles, cells) in zip(plan.windows_mm, ((2, 8), (4, 4)), strict=True):
+        assert window == pytest.approx((cycles * pitch, cells * pitch / 2), rel=0.03)
+    coarse = plan_rig(camera_px=(320, 240), pixel_um=9.6, period_px=18)
+    assert coarse.windows_mm[0][1] == pytest.approx(8 * 4.5 * coarse.fields.mm_per_px)
+
+
 @pytest.mark.parametrize(
     "values",
     [{}, {"distance_mm": 400.0, "baseline_mm": 80.0}, {"camera_px": (1920, 1200), "lens_mm": 16.0, "pixel_um": 5.86}],

@@ -263,6 +263,22 @@ def test_the_pattern_that_was_named_wins_over_the_calibrations():
         choose_pattern(None, 1, None)
 
 
+@pytest.mark.parametrize("stripes", ["horizontal", "vertical"])
+def test_cells_are_half_a_cycle_wide_or_as_wide_as_the_camera_needs(stripes):
+    """Of 640 px the camera sees .70 for each of the projector's along the stripe: 4.5 of its px are 6.4 to 6.5."""
+    rig = simulated_rig(stripes=stripes, period_px=20)
+    assert choose_pattern(rig, None, None, "contrast2").cell_px == 10
+    assert choose_pattern(rig, 8, None, "contrast2").cell_px == pytest.approx(6.45, abs=0.06)
+    assert choose_pattern(None, 8, stripes, "contrast2").cell_px == 4, "without a geometry"
+    assert choose_pattern(None, 4, stripes, "contrast2").cell_px == 2, "and no less"
+    seen = simulated_rig((320, 240), stripes=stripes, tilt_deg=30, period_px=20, code="contrast2").pattern
+    assert seen.cell_px == pytest.approx(2 * 6.45, rel=0.02)
+    shown = rig.with_pattern(code="contrast2")
+    assert choose_pattern(shown, None, None) == shown.pattern, "of a calibration the cells stay"
+    assert choose_pattern(shown, 30, None).cell_px == 15, "until another pattern is named"
+    assert choose_pattern(shown, None, None, "contrast").cell_px is None
+
+
 def test_a_lens_without_directions_is_refused():
     lens = simulated_rig((64, 48)).camera
     short = lens.model_validate(lens.model_dump() | {"matrix": [[1e-9, 0, 31.5], [0, 1e-9, 23.5], [0, 0, 1]]})

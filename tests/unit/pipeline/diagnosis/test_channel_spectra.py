@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline.calibration import Calibration, ColorShift, Pattern
+from pipeline.contrast_code import CYCLES
 from pipeline.diagnosis.channel_spectra import (
     LINEAR,
     PHASES,
@@ -37,6 +38,13 @@ def test_it_is_the_pattern_through_response_and_crosstalk(code):
     parts = MIXING / MIXING.sum(axis=1, keepdims=True)
     np.testing.assert_allclose(seen[..., 0], codes**2 @ parts.T, atol=2e-3)
     np.testing.assert_allclose(seen[..., 1], codes @ parts.T, atol=2e-3)
+
+
+def test_of_many_cells_it_is_the_mean():
+    codes = make_pattern((120, 16 * CYCLES), Pattern(period_px=16, code="contrast2", cell_px=8))
+    known = KnownLight(code="contrast2")
+    seen = ExpectedLight(known, coded=True).at(2 * np.pi * np.arange(16) / 16.0)[..., 0]
+    np.testing.assert_allclose(seen, codes.reshape(CYCLES, 16, 120, 3).mean(axis=(0, 2)), atol=2e-3)
 
 
 def test_a_lag_delays_its_channel():
