@@ -72,10 +72,10 @@ def read_blocks(sums: npt.NDArray[np.float32], graph: PatchGraph, width: int, ri
     values = sums[patch, slot, block].astype(np.float64)
     order = graph.offset[patch].astype(np.int64) + slot - ORDER_SLOTS // 2
     root, first = graph.root[patch].astype(np.int64), graph.first[patch]
-    column, row = first % width // CELL_WIDTH * BLOCKS + block, first // width // CELL_HEIGHT
+    column, row = (first % width // CELL_WIDTH * BLOCKS + block).astype(np.int64), first // width // CELL_HEIGHT
     sort = np.lexsort((order if rising else -order, row, column, root))
-    patch, order, root, column, row = (numbers[sort] for numbers in (patch, order, root, column.astype(np.int64), row))
-    values = values[sort]
+    patch, order, root = patch[sort], order[sort], root[sort]
+    column, row, values = column[sort], row[sort], values[sort]
     # A cycle that a cell's border cuts is put together again.
     fresh = np.ones(len(patch), np.bool_)
     fresh[1:] = (np.diff(root) != 0) | (np.diff(column) != 0) | (np.diff(order) != 0) | (np.diff(row) > 1)

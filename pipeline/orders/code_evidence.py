@@ -350,7 +350,7 @@ def fit_levels(
             odds = _OTHER / (1 - _OTHER) * np.sqrt(noise / far) * np.exp(0.5 * squares * (1 / noise - 1 / far))
         weights = _INDEPENDENT * inside / noise / (1 + odds)
         normal = (weights.T @ pairs).reshape(-1, 4, 4) + prior
-        fit = np.linalg.solve(normal, ((weights * departs).T @ terms)[..., None])[..., 0].T
+        fit = np.asarray(np.linalg.solve(normal, ((weights * departs).T @ terms)[..., None])[..., 0].T, np.float64)
     far = np.log(_OTHER / np.sqrt(variance + _OTHER_SIGMA**2))[:, None]
     shown = np.where(inside, np.log(densities(departs - terms @ fit, variance)), far).sum(axis=1)
     cost = np.einsum("ik,ij,jk->k", fit, prior, fit) + np.linalg.slogdet(normal)[1] - np.linalg.slogdet(prior)[1]
