@@ -52,7 +52,7 @@ class Blocks:
     share: FloatArray  # (M,) how much
 
 
-def read_blocks(sums: npt.NDArray[np.float32], graph: PatchGraph, width: int, rising: bool, noise: float) -> Blocks:
+def read_blocks(sums: npt.NDArray[np.float32], graph: PatchGraph, width: int, noise: float) -> Blocks:
     """Put together what the patches of a part show of each cycle, and keep what is whole.
 
     Parameters
@@ -63,8 +63,6 @@ def read_blocks(sums: npt.NDArray[np.float32], graph: PatchGraph, width: int, ri
         The patches, joined to regions, or to parts of them.
     width : int
         The image's, px.
-    rising : bool
-        Whether the orders grow with the rows.
     noise : float
         Standard deviation of a channel, levels.
     """
@@ -73,24 +71,26 @@ def read_blocks(sums: npt.NDArray[np.float32], graph: PatchGraph, width: int, ri
     order = graph.offset[patch].astype(np.int64) + slot - ORDER_SLOTS // 2
     root, first = graph.root[patch].astype(np.int64), graph.first[patch]
     column, row = (first % width // CELL_WIDTH * BLOCKS + block).astype(np.int64), first // width // CELL_HEIGHT
-    sort = np.lexsort((order if rising else -order, row, column, root))
-    patch, order, root = patch[sort], order[sort], root[sort]
+    # A cycle that a cell's border cuts is put together again. Sorting a single number is quick.
+    least, orders, rows = order.min(initial=0), np.ptp(order) + 1 if len(order) else 1, row.max(initial=0) + 1
+    cycle = (root * (column.max(initial=0) + 1) + column) * orders + order - least
+    sort = np.argsort(cycle * rows + row, kind="stable")
+    patch, order, root, cycle = patch[sort], order[sort], root[sort], cycle[sort]
     column, row, values = column[sort], row[sort], values[sort]
-    # A cycle that a cell's border cuts is put together again.
     fresh = np.ones(len(patch), np.bool_)
-    fresh[1:] = (np.diff(root) != 0) | (np.diff(column) != 0) | (np.diff(order) != 0) | (np.diff(row) > 1)
+    fresh[1:] = (np.diff(cycle) != 0) | (np.diff(row) > 1)
     start, of = np.flatnonzero(fresh), np.cumsum(fresh) - 1
     total = np.add.reduceat(values, start, axis=0) if len(start) else np.zeros((0, 4))
     weight = total[:, TOTAL]
     whole = (weight >= _MIN_WEIGHT) & (np.abs(total[:, PHASE]) < _MAX_MEAN_PHASE * weight)
     whole &= np.minimum(total[:, MODULATION], total[:, BACKGROUND]) > 0
-    rows = np.bincount(of, values[:, TOTAL] * row, len(start))
-    start, total, weight, rows = start[whole], total[whole], weight[whole], rows[whole]
+    middle = np.bincount(of, values[:, TOTAL] * row, len(start))
+    start, total, weight, middle = start[whole], total[whole], weight[whole], middle[whole]
     root, order, column = root[start], order[start], column[start]
     contrast = np.log(total[:, MODULATION] / total[:, BACKGROUND]) + _taken_by_blur(weight, root, order, column)
     modulation, background = total[:, MODULATION] / weight, total[:, BACKGROUND] / weight
     variance = noise**2 * (_OF_MODULATION / modulation**2 + _OF_BACKGROUND / background**2) / (_COUNTED * weight)
-    place = np.stack([CELL_HEIGHT * (rows / weight + 0.5), BLOCK_WIDTH * (column + 0.5)], axis=1) - 0.5
+    place = np.stack([CELL_HEIGHT * (middle / weight + 0.5), BLOCK_WIDTH * (column + 0.5)], axis=1) - 0.5
     number = np.where(whole, np.cumsum(whole) - 1, -1)[of]
     held = number >= 0
     share = values[held, TOTAL] / weight[number[held]]

@@ -48,6 +48,8 @@ _SHOWN, _MOST_TRUST = 5.0, 12.0
 _AROUND, _MOST_LOCAL, _FLATTENED, _DECIDED = (17, 5), 0.2, 100, 30.0
 # Levels that stand for all of a code's.
 _LEVELS = 8
+# Offsets of a part under which responses are compared.
+_NAMED = 3
 # So many of the largest parts tell what all parts of a frame have in common.
 _TELLING = 3
 
@@ -123,6 +125,7 @@ class CodeReader:
         self.cycles = CYCLES if columns is None else min(CYCLES, int(columns.cycles) + 1)
         self.code, self._gamma, self._shift_px = code, GAMMAS.index(2.0), 0.0
         self._gain: float | None = None
+        self._evidence: dict[bytes, PartEvidence] = {}
         # Logarithm by how much likelier the code lies where it is expected than anywhere else.
         self._trust = 0.0
         #: (N, 4) where each block looks along the stripe: terms of a polynomial of its order, px.
@@ -138,15 +141,20 @@ class CodeReader:
         return np.asarray(self.levels[self._gamma])
 
     def expected(
-        self, which: Integers, orders: Integers, shift_px: FloatArray | float = 0.0
+        self,
+        which: Integers,
+        orders: Integers,
+        shifts_px: FloatArray | float = 0.0,
+        gammas: Integers | None = None,
     ) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
         """Return (n, ...) the code's levels where blocks (n,) have orders (n, ...), and whether the code has those.
 
-        As if the code lay so many px further along the stripe.
+        As if the code lay so many px further along the stripe, under responses of these numbers.
         """
         inside = (orders >= 0) & (orders < self.cycles)
-        orders, levels = np.clip(orders, 0, self.cycles - 1), self.levels[self._gamma]
-        return levels[orders, self.code.place_at(column_at(self.columns[which], orders) + shift_px)], inside
+        orders, response = np.clip(orders, 0, self.cycles - 1), self._gamma if gammas is None else gammas
+        places = self.code.place_at(column_at(self.columns[which], orders) + shifts_px)
+        return self.levels[response, orders, places], inside
 
     def fit(
         self,
@@ -154,6 +162,7 @@ class CodeReader:
         offsets: Integers,
         *,
         shifts_px: FloatArray | float = 0.0,
+        gammas: Integers | None = None,
         contrast: FloatArray | None = None,
         no_code: bool = False,
     ) -> tuple[FloatArray, Factor]:
@@ -165,6 +174,8 @@ class CodeReader:
             At most a few hundred blocks are looked at.
         shifts_px : (K,) float
             By how many px the code lies further along the stripe; one for each offset.
+        gammas : (K,) int, optional
+            Numbers of responses, if not the frame's.
         contrast : (n,) float, optional
             The blocks' contrasts, if not as they were seen.
         no_code : bool
@@ -181,7 +192,7 @@ class CodeReader:
         contrast = blocks.contrast[which] if contrast is None else contrast
         step = -(-len(which) // _MOST_BLOCKS)
         which, contrast = which[::step], contrast[::step]
-        expected, inside = self.expected(which, blocks.order[which][:, None] + offsets, shifts_px)
+        expected, inside = self.expected(which, blocks.order[which][:, None] + offsets, shifts_px, gammas)
         if no_code:
             expected = np.column_stack([expected, np.full(len(which), self.levels[self._gamma].mean())])
             inside = np.column_stack([inside, np.ones(len(which), np.bool_)])
@@ -201,6 +212,12 @@ class CodeReader:
 
     def read(self, which: Integers) -> PartEvidence:
         """Return what the blocks (n,) of a part say of its offsets."""
+        key = self.blocks.order[which].tobytes() + self.blocks.place[which].tobytes()
+        if key not in self._evidence:
+            self._evidence[key] = self._read(which)
+        return self._evidence[key]
+
+    def _read(self, which: Integers) -> PartEvidence:
         offsets = self.offsets(which)
         if len(offsets) == 0:
             return PartEvidence(0, np.zeros(0), 0.0, Factor(np.zeros(2), 0.0, np.zeros((4, 0))))
@@ -246,11 +263,15 @@ class CodeReader:
         largest = self._largest()
         if not largest:
             return False
-        few = [some[:: -(-_LEARNT * len(some) // _MOST_BLOCKS)] for some in largest]
-        fits = []
-        for self._gamma in range(len(GAMMAS)):
-            fits.append(sum(_log_sum(self.fit(some, self.offsets(some))[0]) for some in few))
-        self._gamma = int(np.argmax(fits))
+        fits = np.zeros(len(GAMMAS))
+        for some in largest:
+            # The likeliest offsets hardly depend on the response.
+            offsets, few = self.offsets(some), some[:: -(-_LEARNT * len(some) // _MOST_BLOCKS)]
+            named = offsets[np.argsort(self.fit(few, offsets)[0])[-_NAMED:]]
+            gammas = np.repeat(np.arange(len(GAMMAS)), len(named))
+            likelihood, _ = self.fit(few, np.tile(named, len(GAMMAS)), gammas=gammas)
+            fits += likelihood.reshape(len(GAMMAS), -1).max(axis=1)
+        self._gamma = int(fits.argmax())
         read = [self.read(some) for some in largest]
         more = sum(_log_sum(part.likelihood) - np.log(len(part.likelihood)) - part.no_code for part in read)
         self._gain = float(np.median([part.factor.terms[0, part.likelihood.argmax()] for part in read]))
@@ -294,14 +315,20 @@ class CodeReader:
         return _peak(shifts, total) if total.max(initial=0.0) > _SURE_SHIFT else None
 
     def shift(self, shift_px: float) -> None:
-        """Read the code so many px further along the stripe."""
+        """Read the code so many px further along the stripe, from now on."""
+        if shift_px:
+            self._evidence.clear()
+            self._move(shift_px)
+
+    def _move(self, shift_px: float) -> None:
         self._shift_px = shift_px
         self.columns[:, 0] += shift_px
 
     def again(self, other: "CodeReader") -> "CodeReader":
         """Return the reader of other blocks of the frame with what was learnt of it."""
         other._gamma, other._gain, other._trust = self._gamma, self._gain, self._trust
-        other.shift(self._shift_px)
+        other._evidence = self._evidence
+        other._move(self._shift_px)
         return other
 
 

@@ -53,7 +53,6 @@ def find_absolute_orders(
     columns: StripeColumns | None,
     *,
     width: int,
-    rising: bool,
     noise: float,
     order_range: OrderRange | None = None,
 ) -> CodedOrders:
@@ -71,8 +70,6 @@ def find_absolute_orders(
         Where places look; a code that changes along the stripe needs them.
     width : int
         The image's, px.
-    rising : bool
-        Whether the orders grow with the rows.
     noise : float
         Standard deviation of a channel, levels.
     order_range : OrderRange, optional
@@ -80,7 +77,7 @@ def find_absolute_orders(
     """
 
     def reader_of(graph: PatchGraph) -> CodeReader:
-        return CodeReader(read_blocks(sums, graph, width, rising, noise), code, columns)
+        return CodeReader(read_blocks(sums, graph, width, noise), code, columns)
 
     reader = reader_of(graph)
     readable = reader.learn()
@@ -90,7 +87,8 @@ def find_absolute_orders(
         return _unread(graph, order_range if elsewhere is None else None, elsewhere)
     reader.shift(shift_px)
     roots, main = cut_regions(reader, graph, order_range)
-    reader = reader.again(reader_of(graph._replace(root=roots)))
+    if (main >= 0).any():
+        reader = reader.again(reader_of(graph._replace(root=roots)))
     parts, read, posteriors = _placed(reader, graph, width, roots, main)
     if (main >= 0).any():
         roots = _rejoined(roots, main, graph, dict(zip(parts.tolist(), read, strict=True)), posteriors)

@@ -26,8 +26,8 @@ _USUAL_SHARES = np.array([0.3, 0.03, 0.3])
 _SLOPE_REACH = 0.2
 # The balance's window is computed to this many cycles on either side.
 _WINDOWS = 4
-# Of the frame's pixels every eighth column tells enough, and every fourth row, another one from column to column.
-_EVERY_COLUMN, _EVERY_ROW = 8, 4
+# Of the frame's pixels every sixteenth column tells enough, and every fourth row, another one from column to column.
+_EVERY_COLUMN, _EVERY_ROW = 16, 4
 
 
 @cache
@@ -87,14 +87,18 @@ def measure_ripples(
         nodes = columns.nodes / np.float32(code.repeats_px)
     nothing = CodeRipples(table, within, np.zeros(3, np.float32), nodes)
     half = max(1, round(period_px / 2))
-    middle, above, below = region[half:-half], region[: -2 * half], region[2 * half :]
+    sampled = region[:, ::_EVERY_COLUMN]
+    middle, above, below = sampled[half:-half], sampled[: -2 * half], sampled[2 * half :]
     inside = (middle > 0) & (middle == above) & (middle == below) & known[middle]
-    rows, places = np.indices(inside.shape, sparse=True)
-    inside &= (rows + places // _EVERY_COLUMN) % _EVERY_ROW == 0
-    inside &= places % _EVERY_COLUMN == 0
+    inside &= np.add.outer(np.arange(inside.shape[0]), np.arange(inside.shape[1])) % _EVERY_ROW == 0
     rows, places = np.nonzero(inside)
+    places *= _EVERY_COLUMN
     if len(rows) == 0:
         return nothing
+    terms = np.zeros((len(rows), 4), np.float32)
+    if code.cell_px is not None and columns is not None:
+        terms = columns.terms(np.column_stack([rows + half, places]))
+    edges = np.linspace(-0.5, 0.5, within.shape[1])
     seen, shapes = [], []
     for offset in (0, half, 2 * half):
         here = rows + offset, places
@@ -102,11 +106,8 @@ def measure_ripples(
         # The raw phase, in the smoothed one's cycle.
         seen.append(smooth + np.remainder(raw[here] - smooth + np.pi, 2 * np.pi) - np.pi)
         cycles = smooth / (2 * np.pi)
-        place = np.zeros(len(cycles), np.int64)
-        if code.cell_px is not None and columns is not None:
-            place = code.place_at(column_at(columns.terms(np.column_stack(here)), cycles))
+        place = code.place_at(column_at(terms, cycles))
         ripples = table[np.clip(np.rint(cycles * TABLED), 0, len(table) - 1).astype(int), place].T
-        edges = np.linspace(-0.5, 0.5, within.shape[1])
         linear, square = (np.interp(cycles, edges, row, period=1) for row in within)
         shapes.append(np.stack([ripples[0] * (linear + (2 + ripples[0]) * square), *ripples[1:]]))
     bend = seen[0] - 2 * seen[1] + seen[2]

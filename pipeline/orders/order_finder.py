@@ -29,7 +29,6 @@ from tikernels.order_evidence.order_votes import BEFORE, vote_places
 from tikernels.phase.color_balance import Gains
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.equalization import modulation_tables
-from tikernels.phase.phase_change import RATE_ACROSS
 from tikernels.unwrapping.patches import MIN_REGION_PX, Patches, PatchGraph, RegionTable
 
 # Where more of the surface than this does not fit into the depth range, the range is not believed.
@@ -310,10 +309,9 @@ class OrderFinder:
         if self._columns is None and self._geometry is not None and rays is not None:
             self._columns = StripeColumns(self._geometry, runtime.to_host(rays.rays))
         sums = measure_contrast(seen.image, seen.crosstalk, seen.gains, seen.phase, seen.modulation, patches)
-        rising = float(runtime.to_host(seen.rates)[-1, RATE_ACROSS]) > 0
         width, code = int(seen.image.shape[1]), self.code or ContrastCode.named("contrast")
         return find_absolute_orders(
-            sums, graph, code, self._columns, width=width, rising=rising, noise=seen.noise, order_range=order_range
+            sums, graph, code, self._columns, width=width, noise=seen.noise, order_range=order_range
         )
 
     def _place_by_depth(

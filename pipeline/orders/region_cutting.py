@@ -80,10 +80,8 @@ def cut_regions(
         holder, ends = number[blocks.patch[shares]], number[graph.ends[:, within]]
         number[own] = np.arange(len(own))
         support = np.clip(graph.votes[within] / _FULL_SUPPORT, 0, 1)
-        evidence = _evidence(
-            reader, own, (number[blocks.block[shares]], holder, blocks.share[shares]), offsets, len(patches)
-        )
-        labels = _labels(evidence, ends, support)
+        shares = number[blocks.block[shares]], holder, blocks.share[shares]
+        labels = _labels(_Region(reader, own, shares, len(patches)), offsets, Links.of(ends, len(patches)), support)
         if labels is None:
             continue
         whole = labels[ends[0]] == labels[ends[1]]
@@ -94,26 +92,25 @@ def cut_regions(
     return roots, main
 
 
-def _evidence(
-    reader: CodeReader,
-    own: Integers,
-    held: tuple[Integers, Integers, FloatArray],
-    offsets: Integers,
-    patches: int,
-) -> npt.NDArray[np.float32]:
-    """Return (patches, offsets) by how much a region's blocks contradict each offset, in variances."""
-    likelihood, _ = reader.fit(own, offsets)
-    best, blocks = int(offsets[likelihood.argmax()]), reader.blocks
-    level = reader.flattened(own, best)
-    departs = level - reader.expected(own, blocks.order[own] + best)[0]
-    usual = np.median(departs)
-    sigma = np.sqrt(blocks.variance[own] + max(_MIN_SIGMA, robust_sigma(departs - usual)) ** 2)
-    shares = held[0], held[1], _COUNTS * held[2]
-    code = reader.levels_now
-    return weigh_offsets(
-        shares, blocks.order[own], level - usual, sigma, reader.columns[own] / np.float32(reader.code.repeats_px), code,
-        range(int(offsets[0]), int(offsets[-1]) + 1), patches, _MAX_DEVIATION,
-    )  # fmt: skip
+class _Region:
+    """What the blocks of a region show beside its factor."""
+
+    def __init__(
+        self, reader: CodeReader, own: Integers, held: tuple[Integers, Integers, FloatArray], patches: int
+    ) -> None:
+        blocks = reader.blocks
+        self.best, self._patches = reader.read(own).best, patches
+        level = reader.flattened(own, self.best)
+        departs = level - reader.expected(own, blocks.order[own] + self.best)[0]
+        usual = np.median(departs)
+        sigma = np.sqrt(blocks.variance[own] + max(_MIN_SIGMA, robust_sigma(departs - usual)) ** 2)
+        columns = reader.columns[own] / np.float32(reader.code.repeats_px)
+        shares = held[0], held[1], _COUNTS * held[2]
+        self._seen = shares, blocks.order[own], level - usual, sigma, columns, reader.levels_now
+
+    def against(self, offsets: range) -> npt.NDArray[np.float32]:
+        """Return (patches, offsets) by how much the blocks contradict each offset, in variances."""
+        return weigh_offsets(*self._seen, offsets, self._patches, _MAX_DEVIATION)
 
 
 def _held_by(owners: npt.NDArray[np.integer], regions: Integers) -> list[Integers]:
@@ -123,15 +120,17 @@ def _held_by(owners: npt.NDArray[np.integer], regions: Integers) -> list[Integer
     return [order[first:last] for first, last in zip(firsts, lasts, strict=True)]
 
 
-def _labels(evidence: npt.NDArray[np.float32], ends: Integers, support: FloatArray) -> npt.NDArray[np.int32] | None:
+def _labels(region: _Region, offsets: Integers, links: Links, support: FloatArray) -> npt.NDArray[np.int32] | None:
     """Label a region's patches with the offsets that their blocks name, 0 for the region's own; None: all have that."""
-    patches, offsets = evidence.shape
-    own = int(evidence.sum(axis=0).argmin())
-    links = Links.of(ends, patches)
+    against_own = region.against(range(region.best, region.best + 1))
+    if pool_evidence(against_own, links, support).max() <= _MIN_MARGIN:
+        return None  # no other offset can be better by more
+    evidence = region.against(range(int(offsets[0]), int(offsets[-1]) + 1))
+    patches, own = len(evidence), region.best - int(offsets[0])
     pooled = pool_evidence(evidence, links, support)
     best = pooled.argmin(axis=1)
     margin = pooled[:, own] - pooled[np.arange(patches), best]
-    votes = np.bincount(best[(best != own) & (margin > _MIN_MARGIN)], minlength=offsets)
+    votes = np.bincount(best[(best != own) & (margin > _MIN_MARGIN)], minlength=len(offsets))
     named = np.argsort(-votes, kind="stable")[:_CANDIDATES]
     named = named[votes[named] >= _MIN_PATCHES]
     if len(named) == 0:
