@@ -1,4 +1,4 @@
-"""The contrast of every whole cycle in blocks of four columns, which is what a pattern's code is read from.
+"""The contrast of every cycle in blocks of four columns, which is what a pattern's code is read from.
 
 The contrast's logarithm is the code's plus what blur and ambient light make of a surface's contrast. What the camera's
 blur takes, which is more where a surface turns away and the fringe is finer, is put back; the rest changes slowly.
@@ -16,18 +16,21 @@ from tikernels.order_evidence.contrast_reading import (
     BACKGROUND,
     BLOCK_WIDTH,
     BLOCKS,
+    COSINE,
     MODULATION,
     ORDER_SLOTS,
     PHASE,
+    SINE,
+    SUMS,
     TOTAL,
 )
 from tikernels.phase.camera_blur import VARIANCE_PX
 from tikernels.unwrapping.patches import PatchGraph
 from tikernels.unwrapping.tables import CELL_HEIGHT, CELL_WIDTH
 
-# A cycle counts from this weight on (a full one of 12 px has 26 in a block), and if it is whole: its pixels' mean phase
-# (rad) is near its middle's.
-_MIN_WEIGHT, _MAX_MEAN_PHASE = 6.0, 0.3
+# A cycle counts from this weight on (a full one of 12 px has 26 in a block), and from this share of a full one's; what
+# is that much shorter than the cycles beside it is cut.
+_MIN_WEIGHT, _MIN_SHARE, _MIN_WHOLE = 6.0, 0.35, 0.7
 # Weight of a pixel row of a block, and what blur takes of a contrast's logarithm, times the square of the cycle's
 # weight. A cycle is as long as the longest of so many blocks.
 _ROW_WEIGHT = BLOCK_WIDTH * 8 / 15
@@ -35,6 +38,9 @@ _BLUR, _NEAR_BLOCKS = 2 * np.pi**2 * VARIANCE_PX * _ROW_WEIGHT**2, 9
 # Variance of the logarithm, in units of the noise's: of a mean of three channels, and of the fringe in them; a block's
 # weight counts as so many pixels.
 _OF_BACKGROUND, _OF_MODULATION, _COUNTED = 0.45, 0.9, 0.7
+# Pieces tell the ripple from this weight on, and unless they deviate by more; without any there is none (the weight
+# that this counts as).
+_MIN_PIECE, _MOST_RIPPLE, _RIPPLE_DOUBT = 3.0, 0.3, 10.0
 
 
 @dataclass(frozen=True)
@@ -47,17 +53,18 @@ class Blocks:
     contrast: FloatArray  # (N,) natural logarithm, before the camera's blur
     variance: FloatArray  # (N,) of that, by the camera's noise
     brightness: FloatArray  # (N,) levels, where the fringe is brightest
+    off: FloatArray  # (N,) cycles from the cycle's middle to that of what is seen of it
     block: Integers  # (M,) a block
     patch: Integers  # (M,) a patch that holds some of it
     share: FloatArray  # (M,) how much
 
 
 def read_blocks(sums: npt.NDArray[np.float32], graph: PatchGraph, width: int, noise: float) -> Blocks:
-    """Put together what the patches of a part show of each cycle, and keep what is whole.
+    """Put together what the patches of a part show of each cycle, and keep what is enough of one.
 
     Parameters
     ----------
-    sums : (P, ORDER_SLOTS, BLOCKS, 4) float32
+    sums : (P, ORDER_SLOTS, BLOCKS, SUMS) float32
         What `measure_contrast` summed.
     graph : PatchGraph
         The patches, joined to regions, or to parts of them.
@@ -80,33 +87,52 @@ def read_blocks(sums: npt.NDArray[np.float32], graph: PatchGraph, width: int, no
     fresh = np.ones(len(patch), np.bool_)
     fresh[1:] = (np.diff(cycle) != 0) | (np.diff(row) > 1)
     start, of = np.flatnonzero(fresh), np.cumsum(fresh) - 1
-    total = np.add.reduceat(values, start, axis=0) if len(start) else np.zeros((0, 4))
-    weight = total[:, TOTAL]
-    whole = (weight >= _MIN_WEIGHT) & (np.abs(total[:, PHASE]) < _MAX_MEAN_PHASE * weight)
-    whole &= np.minimum(total[:, MODULATION], total[:, BACKGROUND]) > 0
+    total = np.add.reduceat(values, start, axis=0) if len(start) else np.zeros((0, SUMS))
     middle = np.bincount(of, values[:, TOTAL] * row, len(start))
-    start, total, weight, middle = start[whole], total[whole], weight[whole], middle[whole]
-    root, order, column = root[start], order[start], column[start]
-    contrast = np.log(total[:, MODULATION] / total[:, BACKGROUND]) + _taken_by_blur(weight, root, order, column)
-    modulation, background = total[:, MODULATION] / weight, total[:, BACKGROUND] / weight
-    variance = noise**2 * (_OF_MODULATION / modulation**2 + _OF_BACKGROUND / background**2) / (_COUNTED * weight)
-    place = np.stack([CELL_HEIGHT * (middle / weight + 0.5), BLOCK_WIDTH * (column + 0.5)], axis=1) - 0.5
-    number = np.where(whole, np.cumsum(whole) - 1, -1)[of]
+    weight = total[:, TOTAL]
+    shown = np.minimum(total[:, MODULATION], total[:, BACKGROUND]) > 0
+    mean = total / weight[:, None]
+    contrast = np.log(np.where(shown, total[:, MODULATION], 1.0) / np.where(shown, total[:, BACKGROUND], 1.0))
+    contrast -= mean[:, [COSINE, SINE]] @ _ripple(values, of, mean, contrast)
+    full = _full_weight(weight, root[start], order[start], column[start])
+    contrast += _BLUR / full**2
+    shown &= (weight >= _MIN_WEIGHT) & (weight > _MIN_SHARE * full)
+    variance = (_OF_MODULATION / mean[:, MODULATION] ** 2 + _OF_BACKGROUND / mean[:, BACKGROUND] ** 2)[shown]
+    variance *= noise**2 / (_COUNTED * weight[shown])
+    place = np.stack([CELL_HEIGHT * (middle / weight + 0.5), BLOCK_WIDTH * (column[start] + 0.5)], axis=1) - 0.5
+    brightness = (mean[:, MODULATION] + mean[:, BACKGROUND])[shown]
+    seen = contrast[shown], variance, brightness, mean[shown, PHASE] / (2 * np.pi)
+    number = np.where(shown, np.cumsum(shown) - 1, -1)[of]
     held = number >= 0
-    share = values[held, TOTAL] / weight[number[held]]
-    seen = (contrast, variance, modulation + background)
-    return Blocks(root, order, place, *seen, number[held], patch[held], share)
+    share = values[held, TOTAL] / weight[of[held]]
+    start = start[shown]
+    return Blocks(root[start], order[start], place[shown], *seen, number[held], patch[held], share)
 
 
-def _taken_by_blur(weight: FloatArray, root: Integers, order: Integers, column: Integers) -> FloatArray:
-    """Return by how much the camera's blur has lowered the logarithm of the contrast of each cycle, (N,).
+def _ripple(values: FloatArray, of: Integers, mean: FloatArray, contrast: FloatArray) -> FloatArray:
+    """Return how much cosine and sine of three times the phase are in the contrast's logarithm.
 
-    A cycle's weight tells its length, but for pixels that are left out; blocks next to it show the same cycle.
+    By the pieces of cycles that cells' borders cut: a piece has more or less of them than the whole.
     """
+    counts = values[:, TOTAL] > _MIN_PIECE
+    counts &= np.minimum(values[:, MODULATION], values[:, BACKGROUND]) > 0
+    piece = values[counts]
+    departs = np.log(piece[:, MODULATION] / piece[:, BACKGROUND]) - contrast[of[counts]]
+    waves = piece[:, [COSINE, SINE]] / piece[:, TOTAL, None] - mean[of[counts]][:, [COSINE, SINE]]
+    usual = (np.abs(departs) < _MOST_RIPPLE) & (np.abs(waves).sum(axis=1) > 1e-6)
+    departs, waves, weights = departs[usual], waves[usual], piece[usual, TOTAL, None]
+    return np.linalg.solve((waves * weights).T @ waves + _RIPPLE_DOUBT * np.eye(2), (waves * weights).T @ departs)
+
+
+def _full_weight(weight: FloatArray, root: Integers, order: Integers, column: Integers) -> FloatArray:
+    """Return what each block would weigh if its cycle were whole (N,): as the longest of those around it does."""
     if len(weight) == 0:
         return np.zeros(0)
     rows, row = np.unique(root * (np.ptp(order) + 1) + order, return_inverse=True)
     grid = np.zeros((len(rows), column.max() + 1), np.float32)
     np.maximum.at(grid, (row, column), weight)
-    whole = cv2.dilate(grid, np.ones((1, _NEAR_BLOCKS), np.uint8))[row, column]
-    return np.asarray(_BLUR / np.maximum(whole, _MIN_WEIGHT) ** 2)
+    beside = cv2.dilate(grid, np.ones((1, _NEAR_BLOCKS), np.uint8))
+    around = cv2.dilate(beside, np.ones((3, 1), np.uint8))
+    # A cycle that a surface's edge cuts all along is as long as the next one.
+    longest = np.where(beside < _MIN_WHOLE * around, around, beside)
+    return np.asarray(np.maximum(longest[row, column], _MIN_WEIGHT), np.float64)

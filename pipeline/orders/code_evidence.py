@@ -48,6 +48,9 @@ _SHOWN, _MOST_TRUST = 5.0, 12.0
 _AROUND, _MOST_LOCAL, _FLATTENED, _DECIDED = (17, 5), 0.2, 100, 30.0
 # Levels that stand for all of a code's.
 _LEVELS = 8
+# From so many cycles off its middle on a cycle is cut, and what its neighbours' levels then count, a cycle: half of
+# what they do for the contrast itself, which the levels have softened.
+_OFF, _OF_NEIGHBOURS = 0.02, 0.6
 # Offsets of a part under which responses are compared.
 _NAMED = 3
 # So many of the largest parts tell what all parts of a frame have in common.
@@ -154,7 +157,16 @@ class CodeReader:
         inside = (orders >= 0) & (orders < self.cycles)
         orders, response = np.clip(orders, 0, self.cycles - 1), self._gamma if gammas is None else gammas
         places = self.code.place_at(column_at(self.columns[which], orders) + shifts_px)
-        return self.levels[response, orders, places], inside
+        expected = self.levels[response, orders, places]
+        # Of a cycle of which one side is seen, the neighbour on that side shows more.
+        off = self.blocks.off[which]
+        cut = np.flatnonzero(np.abs(off) > _OFF)
+        if len(cut):
+            orders, places = orders[cut], places[cut]
+            more, less = np.minimum(orders + 1, self.cycles - 1), np.maximum(orders - 1, 0)
+            change = self.levels[response, more, places] - self.levels[response, less, places]
+            expected[cut] += _OF_NEIGHBOURS * off[cut].reshape(-1, *(1,) * (orders.ndim - 1)) * change
+        return expected, inside
 
     def fit(
         self,

@@ -72,10 +72,11 @@ def cut_regions(
         for owners in (graph.root, blocks.root, blocks.root[blocks.block], graph.root[graph.ends[0]])
     )
     for region, patches, own, shares, within in zip(regions, *held, strict=True):
-        offsets = reader.offsets(own)
-        offsets = offsets[(offsets >= least) & (offsets <= most)]
-        if len(offsets) < 2:
+        if len(reader.offsets(own)) == 0:
             continue
+        # A piece may lie where the region as a whole cannot.
+        orders = blocks.order[own]
+        offsets = range(max(int(-orders.max()), least), min(int(reader.cycles - 1 - orders.min()), most) + 1)
         number[patches] = np.arange(len(patches))
         holder, ends = number[blocks.patch[shares]], number[graph.ends[:, within]]
         number[own] = np.arange(len(own))
@@ -120,13 +121,13 @@ def _held_by(owners: npt.NDArray[np.integer], regions: Integers) -> list[Integer
     return [order[first:last] for first, last in zip(firsts, lasts, strict=True)]
 
 
-def _labels(region: _Region, offsets: Integers, links: Links, support: FloatArray) -> npt.NDArray[np.int32] | None:
+def _labels(region: _Region, offsets: range, links: Links, support: FloatArray) -> npt.NDArray[np.int32] | None:
     """Label a region's patches with the offsets that their blocks name, 0 for the region's own; None: all have that."""
     against_own = region.against(range(region.best, region.best + 1))
     if pool_evidence(against_own, links, support).max() <= _MIN_MARGIN:
         return None  # no other offset can be better by more
-    evidence = region.against(range(int(offsets[0]), int(offsets[-1]) + 1))
-    patches, own = len(evidence), region.best - int(offsets[0])
+    evidence = region.against(offsets)
+    patches, own = len(evidence), region.best - offsets.start
     pooled = pool_evidence(evidence, links, support)
     best = pooled.argmin(axis=1)
     margin = pooled[:, own] - pooled[np.arange(patches), best]

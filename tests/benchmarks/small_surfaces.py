@@ -1,4 +1,4 @@
-"""Which small surfaces are placed by themselves: plates, bars and balls before a wall, by their size in cycles and cells.
+"""Which small surfaces are placed by themselves: plates, bars and balls before a wall, by size in cycles and cells.
 
     python tests/benchmarks/small_surfaces.py [--frames 12] [--code contrast contrast2] [--gamma 1 2]
 

@@ -3,7 +3,8 @@
 The contrast of a cycle is its mean modulation over its mean background. Neither the surface's reflectance nor its
 shading is in it; what changes it otherwise (ambient light, blur) changes slowly. Pixels weigh (1 - (phase / pi)^2)^2:
 most in the middle of the cycle, where the symbol is its own, and in such a way that the ripple which a response that is
-not linear gives the modulation, three times a cycle, sums up to nothing however few pixels there are.
+not linear gives the modulation, three times a cycle, sums up to nothing over a whole cycle, however few pixels it has.
+What part of a cycle has of the ripple is summed, too.
 """
 
 from functools import cache
@@ -13,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import checks, runtime
-from tikernels._taichi import AnyArray3, F32Array2, F32Array3, I32Array2, U8Array2, f32, i32, ti, vec3, vec4
+from tikernels._taichi import AnyArray3, F32Array2, F32Array3, I32Array2, U8Array2, f32, i32, ti, vec3, vec6
 from tikernels.arrays import F32, LevelsImage
 from tikernels.launching import kernel
 from tikernels.phase.color_balance import Gains, gain_at
@@ -40,8 +41,10 @@ ORDER_SLOTS = 17
 #: A cell's columns are read in blocks so wide, px.
 BLOCK_WIDTH = 4
 BLOCKS = CELL_WIDTH // BLOCK_WIDTH
-#: What is summed of a cycle: the weights, and the weighted modulation, background (levels) and phase (rad).
-TOTAL, MODULATION, BACKGROUND, PHASE = range(4)
+#: What is summed of a cycle: the weights, and the weighted modulation, background (levels), phase (rad), and cosine and
+#: sine of three times the phase.
+TOTAL, MODULATION, BACKGROUND, PHASE, COSINE, SINE = range(6)
+SUMS = 6
 
 
 @ti.func
@@ -52,13 +55,20 @@ def cycle_weight(phase: f32) -> f32:
 
 
 @ti.func
-def add_cycle(label: i32, sums: vec4, block: i32, cells: I32Array2, draft_bits: i32, out_sums: F32Array3):
+def cosine(turns: f32) -> f32:
+    """Cosine of a whole turn's fraction, to a hundredth: a smooth step from crest to trough."""
+    half = 2.0 * ti.abs(turns - ti.round(turns))
+    return 1.0 - 2.0 * half * half * (3.0 - 2.0 * half)
+
+
+@ti.func
+def add_cycle(label: i32, sums: vec6, block: i32, cells: I32Array2, draft_bits: i32, out_sums: F32Array3):
     """Add what one column shows of a cycle to the sums of its patch, order and block."""
     slot = (label & ORDER_MASK) - ORDER_ZERO + ORDER_SLOTS // 2
     if label >= 0 and slot >= 0 and slot < ORDER_SLOTS:
         patch = patch_number(label >> ORDER_BITS, cells, draft_bits)
-        for k in ti.static(range(4)):
-            add_alone(out_sums[patch, slot, 4 * block + k], sums[k])
+        for k in ti.static(range(SUMS)):
+            add_alone(out_sums[patch, slot, SUMS * block + k], sums[k])
 
 
 @cache
@@ -79,7 +89,7 @@ def measure_contrast_kernel(mixed: bool) -> Any:
         labels: I32Array2,  # (H, W) patch and order inside it
         cells: I32Array2,  # (3, cells + 1) see `Cell`; numbered
         draft_bits: i32,
-        out_sums: F32Array3,  # (patches, ORDER_SLOTS, 4 BLOCKS) weight, and weighted modulation, background, phase
+        out_sums: F32Array3,  # (patches, ORDER_SLOTS, BLOCKS SUMS) weight, and weighted modulation, background ...
     ):
         """Walk down the columns of each cell, cycle by cycle."""
         height, width = phase.shape[0], phase.shape[1]
@@ -89,24 +99,26 @@ def measure_contrast_kernel(mixed: bool) -> Any:
             means = matrix_of(inverse_matrix).transpose() @ vec3(1.0 / 3.0)
             for patch in range(cells[Cell.PATCHES, cell], cells[Cell.PATCHES, cell + 1]):
                 for slot in range(ORDER_SLOTS):
-                    for k in range(4 * BLOCKS):
+                    for k in range(SUMS * BLOCKS):
                         out_sums[patch, slot, k] = 0.0
             # Down a column a cycle's pixels follow each other.
             for x in range(left, right):
                 block = (x - left) // BLOCK_WIDTH
-                label, sums, background = NOTHING, vec4(0.0), vec3(0.0)
+                label, sums, background = NOTHING, vec6(0.0), vec3(0.0)
                 for y in range(top, bottom):
                     if y & 3 == 0:  # one gain serves four rows of a cell
                         gain = gain_at(gains, spacing_px, y + 2, (left + right) // 2)
                         background = means * gain
                     if labels[y, x] != label:
                         add_cycle(label, sums, block, cells, draft_bits, out_sums)
-                        label, sums = labels[y, x], vec4(0.0)
+                        label, sums = labels[y, x], vec6(0.0)
                     if label >= 0:
                         projected = without_ambient(color_at(image, y, x), besides, surface_labels, y, x, mixed)
                         channels = neutral_light(projected, unmixing, surface_labels, y, x, mixed)
                         light = background.dot(channels)
-                        seen = vec4(1.0, modulation[y, x], light, phase[y, x])
+                        ripple = 1.5 / PI * phase[y, x]
+                        wave = cosine(ripple), cosine(ripple - 0.25)
+                        seen = vec6(1.0, modulation[y, x], light, phase[y, x], wave[0], wave[1])
                         sums += cycle_weight(phase[y, x]) * seen
                 add_cycle(label, sums, block, cells, draft_bits, out_sums)
 
@@ -135,9 +147,9 @@ def measure_contrast(
 
     Returns
     -------
-    (P, ORDER_SLOTS, BLOCKS, 4) float32
+    (P, ORDER_SLOTS, BLOCKS, SUMS) float32
         By patch, by the order in it with 0 in the middle, and by block: the sum of the weights, and the weighted sums
-        of modulation and background (levels) and of the phase (rad).
+        of modulation and background (levels), of the phase (rad), and of the ripple's cosine and sine.
 
     Raises
     ------
@@ -147,7 +159,7 @@ def measure_contrast(
     image = checks.read_array("image", image, (*patches.shape, 3), *LEVEL_TYPES)
     phase = checks.read_array("phase", phase, patches.shape, np.float32)
     modulation = checks.read_array("modulation", modulation, patches.shape, np.float32)
-    sums = runtime.empty((patches.count, ORDER_SLOTS, 4 * BLOCKS), np.float32)
+    sums = runtime.empty((patches.count, ORDER_SLOTS, SUMS * BLOCKS), np.float32)
     surfaces = crosstalk.surfaces
     light = (
         image,
@@ -162,4 +174,4 @@ def measure_contrast(
     )
     of_patches = (patches.labels, patches.cell_table, patches.draft_bits)
     measure_contrast_kernel(surfaces.mixed)(*light, *of_patches, sums)
-    return runtime.to_host(sums).reshape(patches.count, ORDER_SLOTS, BLOCKS, 4)  # synchronises
+    return runtime.to_host(sums).reshape(patches.count, ORDER_SLOTS, BLOCKS, SUMS)  # synchronises
