@@ -151,17 +151,16 @@ class ContrastCode:
         (gammas, CYCLES, places) float64
             Natural logarithm, at places evenly over `repeats_px`, half a place from its start on.
         """
-        places = self._levels.shape[-1]
-        return _averaged(self, max(1, min(places, round(width_px / self.repeats_px * places))))
+        half = round(0.5 * (width_px / self.repeats_px * self._levels.shape[-1] - 1))
+        return _averaged(self, max(0, half))
 
 
 @lru_cache(maxsize=4)
-def _averaged(code: ContrastCode, width: int) -> npt.NDArray[np.float64]:
-    """Return a code's levels, averaged over so many places."""
+def _averaged(code: ContrastCode, half: int) -> npt.NDArray[np.float64]:
+    """Return a code's levels, averaged over so many places to either side."""
     levels = code._levels
-    if width > 1:
+    if half:
         kernel = np.zeros(levels.shape[-1])
-        kernel[:width] = 1 / width
-        kernel = np.roll(kernel, -((width - 1) // 2))
-        levels = np.fft.irfft(np.fft.rfft(levels) * np.fft.rfft(kernel), levels.shape[-1])
+        np.add.at(kernel, np.arange(-half, half + 1) % len(kernel), 1 / (2 * half + 1))
+        levels = np.fft.irfft(np.fft.rfft(levels) * np.fft.rfft(kernel), len(kernel))
     return np.asarray(np.log(levels[:, 0] / levels[:, 1]))

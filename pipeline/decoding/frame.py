@@ -125,6 +125,7 @@ class Measured:
 
     phases: PhaseBuffers
     surface: SurfaceBuffers
+    stripe_shift_px: float | None = None  # see `DecodedFrame`
     order_doubt: Cause | None = None  # what the user should know of the orders, or why there are none
     light_doubts: tuple[Cause, ...] = ()  # and of the light
     n_measured: int = 0  # pixels that belong to regions
@@ -249,6 +250,14 @@ class DecodedFrame:
         whole cycle and more is not in it.
         """
         return self._read(self._phase_sigma)
+
+    @property
+    def stripe_shift_px(self) -> float | None:
+        """By how many projector px along the stripes the pattern lies off where the calibration says.
+
+        Only a pattern with the code "contrast2" tells; None: nothing does.
+        """
+        return self._measured.stripe_shift_px
 
     @field("float32", "rad", axes=(), needs=("unwrapped_phase",))
     def constant_sigma(self) -> np.float32:

@@ -84,6 +84,7 @@ class Placement:
     coded: bool  # whether a code tells
     left_out: npt.NDArray[np.bool_] | None  # (P,) patches of specks that nothing places, and torn ones
     warning: Cause | None  # what the user should know
+    shift_px: float | None = None  # by how many projector px the code lies off along the stripe; None: nothing tells
 
     def offsets(self) -> tuple[npt.NDArray[np.integer], npt.NDArray[np.integer]]:
         """Return the roots of regions, and the whole cycles to add to their orders; later ones overrule earlier ones.
@@ -242,7 +243,8 @@ class OrderFinder:
             absolute, out_of_range = self._place_by_depth(seen, patches.graph(), roots, rays)
             warning = warning or out_of_range
         orders = with_frame_before(absolute, carried, None if memory is None else memory.orders)
-        return Placement(roots, orders, carried, found is not None, left_out, warning)
+        shift_px = None if found is None or self.code is None or self.code.cell_px is None else found.shift_px
+        return Placement(roots, orders, carried, found is not None, left_out, warning, shift_px)
 
     def refine(
         self, seen: SeenPhase, raw: F32, regions: RegionTable, orders: RegionOrders, out: SurfaceBuffers

@@ -47,6 +47,7 @@ def frame_report(
         "range_percentiles_1_50_99": np.percentile(values, (1, 50, 99)).tolist() if len(values) else None,
         "phase_constant_known": frame.constant_known,
         "phase_constant_sigma_rad": float(frame.constant_sigma) if np.isfinite(frame.constant_sigma) else None,
+        "stripe_shift_px": frame.stripe_shift_px,
         "warnings": list(frame.warnings),
     }
 
