@@ -3,7 +3,7 @@
 Small pieces of simulated surfaces, some in half-shadow, with texture and printed stripes, under coded light that is
 dim, noisy, blurred, ambient, or not what the decoder was told. A region's order is wrong where most of its pixels are.
 
-python tests/benchmarks/order_probability.py [--frames 200] [--seed 1] [--depth-range] [--plain]
+python tests/benchmarks/order_probability.py [--frames 200] [--seed 1] [--depth-range] [--code contrast2]
 python tests/benchmarks/order_probability.py --rigs 0-19 --folder FOLDER   # scenes before drawn rigs, coded both ways
 """
 
@@ -30,7 +30,7 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--depth-range", action="store_true", help="tell the decoder where the surfaces are")
-    parser.add_argument("--plain", action="store_true", help="leave the code away")
+    parser.add_argument("--code", choices=("contrast", "contrast2", "none"), default="contrast", help="the pattern's")
     parser.add_argument("--rigs", metavar="N-M", help="judge drawn rigs of these numbers instead")
     parser.add_argument("--folder", type=Path, help="where their rendered frames are kept")
     options = parser.parse_args()
@@ -38,7 +38,7 @@ def main() -> None:
     if options.rigs:
         print_table(np.array(list(drawn_regions(options.rigs, options.folder))))
         return
-    code = None if options.plain else "contrast"
+    code = None if options.code == "none" else options.code
     seeds = range(options.seed, options.seed + options.frames)
     rows = [row for seed in seeds for row in judged_regions(*uncertain_frame(seed, code, options.depth_range))]
     print_table(np.array(rows))
