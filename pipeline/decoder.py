@@ -307,7 +307,7 @@ class Decoder:
             phases,
             surface,
             light=self._kept_light(frame, image, levels, work, crosstalk),
-            n_measured=int(regions.pixels.sum()),
+            n_measured=int(np.count_nonzero(runtime.to_host(surface.mask))),  # synchronises
             surfaces=None if isinstance(looked, NoModelFits) else looked,
             at_rest=self.settings.field_times is None or motion is not None,
             orders=orders,

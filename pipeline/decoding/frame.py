@@ -127,7 +127,7 @@ class Measured:
     surface: SurfaceBuffers
     order_doubt: Cause | None = None  # what the user should know of the orders, or why there are none
     light_doubts: tuple[Cause, ...] = ()  # and of the light
-    n_measured: int = 0  # pixels that belong to regions
+    n_measured: int = 0  # pixels in the mask
     orders: RegionOrders = attribute(default_factory=RegionOrders.of_no_region)
     surfaces: FoundSurfaces | OnlyColor | None = None
     range_sign: int = 1  # without a calibration: -1 where the phase grows towards the camera
