@@ -127,6 +127,7 @@ class Measured:
     surface: SurfaceBuffers
     order_doubt: Cause | None = None  # what the user should know of the orders, or why there are none
     light_doubts: tuple[Cause, ...] = ()  # and of the light
+    mask: npt.NDArray[np.uint8] | None = None  # the surface's, read back; None: nothing is measured
     n_measured: int = 0  # pixels in the mask
     orders: RegionOrders = attribute(default_factory=RegionOrders.of_no_region)
     surfaces: FoundSurfaces | OnlyColor | None = None
@@ -211,7 +212,8 @@ class DecodedFrame:
     @field("bool", needs=("mask",))
     def mask(self) -> npt.NDArray[np.bool_]:
         """Lit, modulated, and not between two surfaces: where the other fields hold."""
-        return self._read(self._measured.surface.mask).view(np.bool_)
+        measured = self._measured
+        return self._read(measured.surface.mask if measured.mask is None else measured.mask).view(np.bool_)
 
     @field("float32", "grey levels", needs=("modulation",), vertex="modulation", rounding=MODULATION_DIGITS)
     def modulation(self) -> Floats:
