@@ -247,8 +247,8 @@ class ExposureFinder:
             self._note(RigFault("black clipped", words, RAD_PER_PART * max(curve.lost, 1 / 255)))
         if curve.black > _MAX_BLACK:
             words = (
-                f"black has {curve.black:.0%} of white's light: darken the room; what stays with the lens covered is the "
-                "camera's black level (offset), to be lowered"
+                f"black has {curve.black:.0%} of white's light: darken the room; if that stays with the lens covered, "
+                "lower the camera's black level (offset)"
             )
             self._note(RigFault("bright black", words, RAD_PER_PART / 255 / (1 - min(curve.black, 0.9))))
         effects = CameraEffects(probe, curve, code, *self._fringe)

@@ -1,6 +1,7 @@
+import math
 import re
 from dataclasses import replace
-from itertools import islice
+from itertools import count, islice
 
 import pytest
 from support.faulty_rigs import FRAMES, PERIOD_S, Bench, Faulty, settings
@@ -8,6 +9,7 @@ from support.faulty_rigs import FRAMES, PERIOD_S, Bench, Faulty, settings
 from hardware import rig as rig_module
 from hardware.errors import BurstError, CameraError, TriggerError
 from hardware.rig import Burst
+from hardware.run_start import Start
 
 one = frozenset({2})
 
@@ -95,6 +97,7 @@ def test_every_fault_is_seen_and_the_burst_repeated(name, endless):
     assert rejected.attempt == 1
     assert re.search(message, str(rejected.faults[0])), str(rejected.faults[0])
     assert bench.n_opened == (2 if "unplugged" in name else 1)
+    assert (rejected.faults[0].key == "instrument failed") == ("unplugged" in name)
 
 
 @pytest.mark.parametrize("endless", [False, True])
@@ -202,6 +205,28 @@ def test_what_is_late_or_comes_twice_is_no_fault(endless):
         assert bench.mispaired(burst) == []
     assert not bench.rejected
     assert burst.n_repeated == 2
+
+
+@pytest.mark.parametrize(("limit_s", "named"), [(-math.inf, ["computer behind"]), (math.inf, [])])
+def test_a_machine_that_is_behind_is_named_before_what_it_lost(monkeypatch, limit_s, named):
+    monkeypatch.setattr(rig_module, "_BEHIND_S", limit_s)
+    bench = Bench(settings(alternating=False), [Faulty(lost_trigger=one)])
+    assert bench.mispaired(burst_of(bench)) == []
+    assert [fault.key for fault in bench.rejected[0].faults] == [*named, "exposures missing", "frame late"]
+
+
+@pytest.mark.parametrize(("step_s", "key"), [(0.01, "uneven latency"), (0.0001, None)])
+def test_a_latency_that_varies_is_refused(step_s, key):
+    """Of a camera without a clock, whose frames take longer by so much from one start to the next."""
+    starts = (Start(arrival_s, None, None, None, 0.0) for arrival_s in count(1.0, step_s))
+    found = None
+    with Bench(settings(alternating=False)).rig() as rig:
+        rig._counted = lambda train: next(starts)
+        try:
+            rig._fire(endless=True)
+        except rig_module._Refused as refused:
+            found = refused.faults[0].key
+    assert found == key
 
 
 def test_three_tries_then_an_error_that_names_pulse_and_cable():
