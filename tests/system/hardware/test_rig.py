@@ -1,5 +1,6 @@
 import math
 import re
+import time
 from dataclasses import replace
 from itertools import count, islice
 
@@ -47,7 +48,7 @@ def test_the_order_of_calls():
 @pytest.mark.parametrize("endless", [False, True])
 @pytest.mark.parametrize("alternating", [False, True])
 def test_bursts_are_whole_and_numbered(endless, alternating):
-    bench = Bench(settings(alternating=alternating))
+    bench, began_s = Bench(settings(alternating=alternating)), time.monotonic()
     with bench.rig() as rig:
         bursts = list(islice(rig.bursts(endless=endless), 4))
         wrong = [bench.mispaired(burst) for burst in bursts] if endless else [bench.mispaired(bursts[-1])]
@@ -59,7 +60,8 @@ def test_bursts_are_whole_and_numbered(endless, alternating):
     for burst in bursts:
         for paired in burst.frames:
             assert paired.strobe_s == pytest.approx(paired.pulse * PERIOD_S + 2e-4, abs=1e-9)
-            assert -5e-3 < paired.frame.host_time_s - paired.exposed_at_s < 1.0
+            # Pulses began somewhere in the start command, on a busy machine late in it.
+            assert began_s < paired.exposed_at_s < paired.frame.host_time_s + max(rig._starts_s) / 2 + 5e-3
 
 
 # A machine that is busy while these tests run takes other frames late, too.
