@@ -308,11 +308,13 @@ class Decoder:
         light = (model.contrast, mismatch, odd, fast, lambda: self._mm_per_rad(surface))
         order_doubt = placement.warning or lost
         code_lost = order_doubt is not None and order_doubt.key in {"code too weak", "orders guessed"}
+        mask = runtime.to_host(surface.mask)  # synchronises
         return Measured(
             phases,
             surface,
             light=self._kept_light(frame, image, levels, work, crosstalk),
-            n_measured=int(regions.pixels.sum()),
+            mask=mask,
+            n_measured=int(np.count_nonzero(mask)),
             surfaces=None if isinstance(looked, NoModelFits) else looked,
             at_rest=self.settings.field_times is None or motion is not None,
             orders=orders,

@@ -220,7 +220,7 @@ class ExposureFinder:
                 f"light of the room flickers by {varies:.1%} of white from frame to frame: switch it off, or light the "
                 "room by direct current"
             )
-            self._note(RigFault("room light", words, RAD_PER_PART * varies))
+            self._note(RigFault("flickering room light", words, RAD_PER_PART * varies))
             self._probe.takes = _FLICKER_TAKES
 
     def _test_camera(self, cycle: LightCycle | None) -> ExposureReport:
@@ -246,8 +246,11 @@ class ExposureFinder:
             words = f"{curve.clipped:.0%} of black has the least level: raise the camera's black level (offset)"
             self._note(RigFault("black clipped", words, RAD_PER_PART * max(curve.lost, 1 / 255)))
         if curve.black > _MAX_BLACK:
-            words = f"black has {curve.black:.0%} of white's light: darken the room, or lower the camera's black level"
-            self._note(RigFault("room light", words, RAD_PER_PART / 255 / (1 - min(curve.black, 0.9))))
+            words = (
+                f"black has {curve.black:.0%} of white's light: darken the room; if that stays with the lens covered, "
+                "lower the camera's black level (offset)"
+            )
+            self._note(RigFault("bright black", words, RAD_PER_PART / 255 / (1 - min(curve.black, 0.9))))
         effects = CameraEffects(probe, curve, code, *self._fringe)
         for fault in effects.find():
             self._note(fault)

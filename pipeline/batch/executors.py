@@ -109,6 +109,8 @@ class ProcessExecutor:
             for place in self._places:
                 place.kill()
             self._threads.shutdown()
+            for place in self._places:  # those that had nothing to do
+                place.end()
 
     def submit(self, task: list[Chain], report: Report) -> "Future[Sequence[Outcome]]":
         """Have a task decoded; see `Executor`."""

@@ -128,7 +128,8 @@ class Measured:
     stripe_shift_px: float | None = None  # see `DecodedFrame`
     order_doubt: Cause | None = None  # what the user should know of the orders, or why there are none
     light_doubts: tuple[Cause, ...] = ()  # and of the light
-    n_measured: int = 0  # pixels that belong to regions
+    mask: npt.NDArray[np.uint8] | None = None  # the surface's, read back; None: nothing is measured
+    n_measured: int = 0  # pixels in the mask
     orders: RegionOrders = attribute(default_factory=RegionOrders.of_no_region)
     surfaces: FoundSurfaces | OnlyColor | None = None
     range_sign: int = 1  # without a calibration: -1 where the phase grows towards the camera
@@ -212,7 +213,8 @@ class DecodedFrame:
     @field("bool", needs=("mask",))
     def mask(self) -> npt.NDArray[np.bool_]:
         """Lit, modulated, and not between two surfaces: where the other fields hold."""
-        return self._read(self._measured.surface.mask).view(np.bool_)
+        measured = self._measured
+        return self._read(measured.surface.mask if measured.mask is None else measured.mask).view(np.bool_)
 
     @field("float32", "grey levels", needs=("modulation",), vertex="modulation", rounding=MODULATION_DIGITS)
     def modulation(self) -> Floats:

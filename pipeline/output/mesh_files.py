@@ -96,6 +96,8 @@ def read_mesh(
     return read_placed(path, frame, axes, unit)[0]
 
 
+# Numbers beyond float32 become infinite or NaN, which a mesh refuses.
+@np.errstate(over="ignore", divide="ignore", invalid="ignore")
 def read_placed(
     path: str | Path, frame: int | None = None, axes: AxesName | None = None, unit: UnitName | None = None
 ) -> tuple[Mesh, bool]:
@@ -124,15 +126,17 @@ def read_placed(
         in_rad = said.get("unit") == "rad"
         if in_rad and (axes or unit):
             raise ValueError("it is in rad, not in mm: decode with a calibration")
+        form = _FORMS[kind]
+        told = next((each for each in AXES.values() if each.told == said.get("axes")), None)
+        known = form.is_fixed or ((axes or told) and (unit or said.get("unit") in (*MM, "rad")))
+        about = {name: value for name, value in said.items() if name in PROVENANCE}
+        mesh = replace(mesh, unit="rad" if in_rad else "mm", provenance=about)
+        length_mm = MM[unit] if unit else 1.0 if in_rad else MM.get(said.get("unit", ""), MM[form.unit])
+        return in_camera_frame(mesh, AXES[axes] if axes else told or form.axes, length_mm), bool(known)
     except OSError as error:
         more = f": set {MAX_PIXELS} to a larger number if it is whole" if error.errno == errno.EOVERFLOW else ""
         raise FootageError(f"cannot read {path}: {error.strerror}{more}") from error
     except ValueError as error:
         raise FootageError(f"cannot read {path} as a surface ({kind.upper()}): {error}") from error
-    form = _FORMS[kind]
-    told = next((each for each in AXES.values() if each.told == said.get("axes")), None)
-    known = form.is_fixed or ((axes or told) and (unit or said.get("unit") in (*MM, "rad")))
-    about = {name: value for name, value in said.items() if name in PROVENANCE}
-    mesh = replace(mesh, unit="rad" if in_rad else "mm", provenance=about)
-    length_mm = MM[unit] if unit else 1.0 if in_rad else MM.get(said.get("unit", ""), MM[form.unit])
-    return in_camera_frame(mesh, AXES[axes] if axes else told or form.axes, length_mm), bool(known)
+    except MemoryError as error:
+        raise FootageError(f"cannot read {path}: what it says that it holds does not fit into memory") from error

@@ -4,14 +4,19 @@ import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from pipeline.errors import OutputError, RenderError
 from pipeline.files import write_atomically
+from pipeline.models import LARGEST
 from pipeline.output.mesh import Mesh
 from pipeline.output.mesh_files import write_mesh
 from pipeline.output.pictures.drawing_process import Buffer, PictureJob, PictureOptions, draw_apart
 
 #: Files of buffers in the folder of the process that draws.
 _MADE: dict[Buffer, str] = {"depth": "depth.tiff", "normals": "normals.png"}
+# A hundredth of what numbers may be here: the eye is some times as far away, so that it sees all.
+_FARTHEST_MM = LARGEST / 100
 
 
 def render_mesh(
@@ -98,13 +103,19 @@ def refuse_empty(mesh: Mesh, what: str = "the mesh") -> None:
     Raises
     ------
     RenderError
-        It has no faces.
+        It has no faces, no extent, or too large a one.
     """
     if not len(mesh.vertices):
         ours = "nothing of its frame was measured, colorphase inspect says why"
         raise RenderError(f"{what} has no point: {ours if mesh.provenance else 'give another file'}")
     if not len(mesh.faces):
         raise RenderError(f"{what} has {len(mesh.vertices)} points and no faces: give one of triangles")
+    farthest = float(np.abs(mesh.vertices).max())
+    if farthest > _FARTHEST_MM:
+        most = f"{_FARTHEST_MM:g} mm is the most"
+        raise RenderError(f"{what} reaches {farthest:.1g} mm, and {most}: give its unit, or another file")
+    if not np.ptp(mesh.vertices, axis=0).any():
+        raise RenderError(f"the points of {what} all lie in one place: give another file")
 
 
 def absolute_location(location: str | Path) -> str:

@@ -48,6 +48,8 @@ FAULTS = (
     "mirrored picture",
     "resampled picture",
 )
+#: The names of what room light does.
+ROOM_LIGHT = {"flickering room light", "bright black"}
 #: Automatic exposure sets the brightness itself; an S-curve makes black darker; a tone curve needs single pixels.
 HIDING = (
     {"automatic exposure", "too dark"},
@@ -153,7 +155,8 @@ def named_on(seed: int, faulty: bool) -> tuple[frozenset[str], list[str], str]:
     detail = f"{off} of {cycle_s and 1 / cycle_s:.5} Hz" if cycle_s else off
     seen = f"cycle {detail}, {found.transfer} ({rig.studio.camera.curve}), level {found.level:.2f}"
     words = "; ".join(f"{fault.key} {fault.cost_rad:.3f}" for fault in found.faults)
-    return rig.faults, [fault.key for fault in found.faults], f"{seen}; {words}"
+    keys = ["room light" if fault.key in ROOM_LIGHT else fault.key for fault in found.faults]
+    return rig.faults, keys, f"{seen}; {words}"
 
 
 def main(first_seed: int = 100, rigs: int = 30, processes: int = 1) -> None:

@@ -3,28 +3,34 @@
 import hashlib
 import json
 import shutil
+from base64 import b64encode
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 from support.damage import damaged, with_png_checksums
+from support.foreign_calibrations import CAMERA_PX, PROJECTOR_PX, kalibr, matlab, opencv, rig
 from support.numbered_frames import record
 from support.stored_planes import LENS, reseal, store
+from support.tilted_sheets import PROVENANCE, tilted_grid
 from support.video_files import H264, MJPEG, encode, moving_planes
 
 from hardware import errors as hardware_errors
 from pipeline import errors as pipeline_errors
 from pipeline.acquisition.chosen_rig import read_rig
-from pipeline.calibration import Calibration
+from pipeline.calibration import Calibration, Pattern
 from pipeline.calibration.color_chart import read_spectra
+from pipeline.calibration.foreign import read_foreign
 from pipeline.errors import DamageError
 from pipeline.footage.image_file import read_image
 from pipeline.footage.opening import open_source
 from pipeline.footage.source import StoredFrame
+from pipeline.output.formats.ros_bag import write_bag
+from pipeline.output.formats.table import FORMATS, encode_as
 from pipeline.output.mesh import Mesh
 from pipeline.output.mesh_files import read_mesh, write_mesh
 from pipeline.output.store_files import MARK_BYTES
@@ -120,6 +126,12 @@ def _read_mesh(path: Path) -> Reading:
     return Reading({"mesh": _digest(mesh.vertices, mesh.faces, mesh.colors, *sorted(mesh.properties.items()))})
 
 
+def _read_import(path: Path) -> Reading:
+    """Read another program's calibration, as `colorphase calibrate import` does."""
+    rig = read_foreign(path, Pattern(period_px=16), CAMERA_PX, PROJECTOR_PX, 1.0)
+    return Reading({"model": _digest(rig.model_dump_json(), rig.geometry().translation_mm)})
+
+
 def _reader_of(read: Callable[[Path], Any]) -> Callable[[Path], Reading]:
     def reader(path: Path) -> Reading:
         model = read(path)
@@ -158,8 +170,26 @@ SAMPLES = {
         Sample("settings.toml", _reader_of(DecodeSettings.read), text=True),
         Sample("rig.toml", _reader_of(read_rig), text=True),
         Sample("spectra.csv", lambda path: Reading({"table": _digest(read_spectra(path))}), text=True),
+        Sample("opencv.yml", _read_import, text=True),
+        Sample("opencv.xml", _read_import, text=True),
+        Sample("kalibr.yaml", _read_import, text=True),
+        Sample("matlab.json", _read_import, text=True),
         Sample("mesh.ply", _read_mesh),
         Sample("ascii.ply", _read_mesh, text=True),
+        Sample("mesh.obj", _read_mesh, text=True),
+        Sample("textured", lambda folder: _read_mesh(folder / "mesh.obj")),
+        Sample("mesh.stl", _read_mesh),
+        Sample("meshlab_ascii.stl", _read_mesh, text=True),
+        Sample("mesh.glb", _read_mesh),
+        Sample("textured.glb", _read_mesh),
+        Sample("mesh.gltf", _read_mesh, text=True),
+        Sample("mesh.wrl", _read_mesh, text=True),
+        Sample("grid.pcd", _read_mesh),
+        Sample("pcl_ascii.pcd", _read_mesh, text=True),
+        Sample("pcl_compressed.pcd", _read_mesh),
+        Sample("depth.png", _read_mesh),
+        Sample("depth.tiff", _read_mesh),
+        Sample("bag.mcap", _read_mesh),
     )
 }
 _DISTANCES = (400.0, 410.0, None, 420.0)
@@ -205,7 +235,7 @@ def make_samples(folder: Path) -> None:
     image[:, 32:] = 128
     for name in SAMPLES:
         stem, suffix = Path(name).stem, Path(name).suffix
-        if suffix in (".png", ".jpg", ".tif", ".bmp", ".webp", ".ppm"):
+        if suffix in (".png", ".jpg", ".tif", ".bmp", ".webp", ".ppm") and stem != "depth":
             levels = {"deep": image.astype(np.uint16) * 257, "float": image.astype(np.float32) / 255}.get(stem, image)
             pages = [levels] * (3 if stem == "stack" else 1)
             (folder / name).write_bytes(cv2.imencodemulti(suffix, pages)[1].tobytes())
@@ -224,11 +254,45 @@ def make_samples(folder: Path) -> None:
     (folder / "rig.toml").write_text(_RIG)
     rows = [f"{wavelength}," + ",".join(["0.5"] * 24) for wavelength in range(380, 740, 10)]
     (folder / "spectra.csv").write_text("\n".join(rows))
+    _make_calibrations(folder)
+    _make_meshes(folder, image, rng)
+
+
+def _make_calibrations(folder: Path) -> None:
+    for name in ("opencv.yml", "opencv.xml"):
+        opencv(folder / name, rig())
+    (folder / "kalibr.yaml").write_text(kalibr(rig()))
+    (folder / "matlab.json").write_text(json.dumps(matlab(rig()), indent=1))
+
+
+def _make_meshes(folder: Path, image: Any, rng: np.random.Generator) -> None:
     vertices = rng.uniform(0, 100, (30, 3)).astype(np.float32)
     faces = rng.integers(0, 30, (40, 3)).astype(np.int32)
     colors = rng.integers(0, 255, (30, 3)).astype(np.uint8)
-    write_mesh(Mesh(vertices, faces, colors, {"sigma_mm": vertices[:, 0]}), folder / "mesh.ply")
+    mesh = Mesh(vertices, faces, colors, {"sigma_mm": vertices[:, 0]}, provenance=PROVENANCE)
+    for name in ("mesh.ply", "mesh.obj", "mesh.stl", "mesh.glb", "mesh.wrl"):
+        write_mesh(mesh, folder / name)
+    textured = replace(mesh, texture=image, pixels=vertices[:, :2] % 48)
+    (folder / "textured").mkdir()
+    for name in ("textured/mesh.obj", "textured.glb"):
+        write_mesh(textured, folder / name)
+    (folder / "mesh.gltf").write_bytes(_gltf((folder / "mesh.glb").read_bytes()))
     (folder / "ascii.ply").write_bytes(_ascii_ply(vertices, faces, colors))
+    grid = tilted_grid()
+    for name, kind in (("grid.pcd", "pcd"), ("depth.png", "png"), ("depth.tiff", "tiff")):
+        (folder / name).write_bytes(encode_as(FORMATS[kind], grid, "grid", 600.0)[f".{kind}"])
+    write_bag(folder / "bag", [grid], PROVENANCE)
+    shutil.copy(folder / "bag" / "bag.mcap", folder)
+    for name in ("meshlab_ascii.stl", "pcl_ascii.pcd", "pcl_compressed.pcd"):
+        shutil.copy(Path(__file__).parent / "foreign" / name, folder)
+
+
+def _gltf(binary: bytes) -> bytes:
+    """Return a binary glTF file as text."""
+    size = int.from_bytes(binary[12:16], "little")
+    scene = json.loads(binary[20 : 20 + size])
+    scene["buffers"][0]["uri"] = "data:;base64," + b64encode(binary[28 + size :]).decode()
+    return json.dumps(scene, indent=1).encode()
 
 
 def _ascii_ply(vertices: Any, faces: Any, colors: Any) -> bytes:
@@ -256,6 +320,10 @@ def damage_sample(sample: Sample, whole: Path, target: Path, rng: np.random.Gene
         _damage_and_reseal(target, rng)
         return True
     files = sorted(path for path in target.rglob("*") if path.is_file())
+    if sample.name == "textured":
+        path = files[rng.integers(len(files))]
+        path.write_bytes(damaged(path.read_bytes(), rng, text=path.suffix != ".png"))
+        return True
     heads = [path for path in files if path.suffix == ".json"]
     chosen = heads if rng.random() < 0.5 else [path for path in files if path not in heads]
     path = chosen[rng.integers(len(chosen))]

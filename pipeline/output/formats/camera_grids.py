@@ -122,10 +122,10 @@ def _levels_and_remarks(data: bytes) -> tuple[npt.NDArray[np.uint16], dict[str, 
             else:
                 said = picture.info
             return np.asarray(picture).astype(np.uint16), {str(name): str(value) for name, value in said.items()}
-    except ValueError:
+    except (ValueError, MemoryError):
         raise
     except UnidentifiedImageError:
-        raise ValueError("it is no PNG and no TIFF picture") from None
+        raise ValueError("it is no PNG and no TIFF picture, or damaged") from None
     except Exception as error:  # its readers raise whatever damaged bytes lead to
         raise ValueError(f"it is damaged ({type(error).__name__})") from None
 

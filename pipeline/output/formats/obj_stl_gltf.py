@@ -195,7 +195,7 @@ def read_foreign(path: Path, most_bytes: int) -> tuple[Mesh, dict[str, str]]:
             for (solid, transform), start in zip(solids, starts, strict=False)
         ]
         colors = [_colors(solid) for solid, _ in solids]
-    except OSError:
+    except (OSError, MemoryError):
         raise
     except Exception as error:  # its readers raise whatever damaged bytes lead to
         raise ValueError(f"it is damaged, or no such file ({type(error).__name__})") from None

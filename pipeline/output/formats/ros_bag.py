@@ -5,7 +5,9 @@ rgb8: the surface's colour without fringes) and ``/camera/camera_info`` (CameraI
 Lengths are in m, in the optical frame of REP 103, which the messages call `FRAME_ID`.
 """
 
+import os
 from collections.abc import Iterable
+from io import BufferedReader
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -15,7 +17,7 @@ import numpy.typing as npt
 
 from pipeline.calibration.lens import Lens
 from pipeline.errors import OutputError
-from pipeline.limits import check_mesh_size
+from pipeline.limits import check_mesh_size, open_plain
 from pipeline.output.mesh import RangeGrid
 
 #: Of the messages' headers.
@@ -87,8 +89,9 @@ def read_bag(path: Path, number: int | None = None) -> RangeGrid:
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
         raise ValueError(_MISSING) from None
+    file: Any = _BagFile(path)  # what rosbags uses of a path
     try:
-        with Reader(path) as reader:
+        with Reader(file) as reader:
             topics = [connection for connection in reader.connections if connection.msgtype == _CLOUD]
             if len(topics) != 1:
                 raise ValueError(f"it has {len(topics)} topics of points, and one is read")
@@ -101,10 +104,34 @@ def read_bag(path: Path, number: int | None = None) -> RangeGrid:
         # The bag's own definitions of messages are not asked: they would become a program.
         cloud: Any = get_typestore(Stores.ROS2_HUMBLE).deserialize_cdr(data, _CLOUD)
         return RangeGrid.of_records(_records_of(cloud))
-    except (ValueError, OSError):
+    except (ValueError, OSError, MemoryError):
         raise
     except Exception as error:  # its reader raises whatever damaged bytes lead to
         raise ValueError(f"it is damaged ({type(error).__name__})") from None
+
+
+class _BagFile:
+    """A bag as rosbags opens it: reads end where the file does, or a damaged length would be allocated."""
+
+    suffix = ".mcap"
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def exists(self) -> bool:
+        return self._path.exists()
+
+    def is_dir(self) -> bool:
+        return False
+
+    def open(self, _: str) -> BufferedReader:
+        return _Bounded(open_plain(self._path).detach())
+
+
+class _Bounded(BufferedReader):
+    def read(self, size: int | None = -1, /) -> bytes:
+        left = max(0, os.fstat(self.fileno()).st_size - self.tell())
+        return super().read(left if size is None or size < 0 else min(size, left))
 
 
 def _records_of(cloud: Any) -> npt.NDArray[np.void]:

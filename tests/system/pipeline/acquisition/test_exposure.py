@@ -139,9 +139,10 @@ def test_a_rig_without_faults():
 
 
 def test_brightness_room_and_cycle():
-    """Three faults at once, and exposure and gain that cure two of them."""
+    """Four faults at once, and exposure and gain that cure two of them; the room is bright, and it flickers."""
     found = find(rig(0.0137, colour_cycle_s=1 / 87, light=0.2, room=0.05), 0.0137)
-    assert {fault.key for fault in found.faults} == {"too dark", "exposure off the cycle", "room light"}
+    keys = {fault.key for fault in found.faults}
+    assert keys == {"too dark", "exposure off the cycle", "flickering room light", "bright black"}
     costs = [fault.cost_rad for fault in found.faults]
     assert costs == sorted(costs, reverse=True)
     assert all(isfinite(cost) for cost in costs)

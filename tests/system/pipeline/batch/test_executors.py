@@ -8,10 +8,10 @@ from support.recorded_footage import record
 
 from pipeline import DecodeSettings
 from pipeline.batch import executors
-from pipeline.batch.executors import idle_processes, worthwhile_processes
+from pipeline.batch.executors import ProcessExecutor, idle_processes, worthwhile_processes
 from pipeline.batch.job import Job, chains
 from pipeline.batch.run import decode_footage
-from pipeline.errors import OutputError
+from pipeline.errors import FootageError, OutputError
 from pipeline.footage.source import StoredAs
 from pipeline.processes import Child
 
@@ -54,6 +54,32 @@ def test_processes_that_do_not_help_are_named(cores, n_cores, n_frames, count, s
     cores(n_cores)
     found = idle_processes(job_on(), todo(n_frames), count)
     assert (found is None) if said is None else (found.startswith("note: ") and found.endswith(said))
+
+
+IDLE = """
+from pipeline.processes import serve
+def work(receive, say):
+    while True: say(receive() and None)
+serve(work)
+"""
+
+
+def test_after_an_error_processes_without_work_are_ended_too(monkeypatch):
+    """One that is only killed leaves its pipes open, and stays a zombie."""
+    started = []
+
+    class Idle(Child):
+        def __init__(self, *_):
+            super().__init__(IDLE)
+            started.append(self)
+
+    monkeypatch.setattr(executors, "Child", Idle)
+    with pytest.raises(FootageError), ProcessExecutor(job_on(), 1) as processes:
+        processes.submit(todo(1), print).result()
+        raise FootageError("of another process")
+    (child,) = started
+    assert child._process.returncode is not None
+    assert child._process.stdin.closed and child._process.stdout.closed
 
 
 def test_one_gpu_does_all_the_work(cores):

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -154,6 +155,11 @@ def test_what_is_refused(tmp_path: Path) -> None:
         render_mesh(EMPTY, tmp_path / "picture.png")
     with pytest.raises(RenderError, match="mesh has no point: give another file"):
         render_mesh(Mesh(EMPTY.vertices[:0], EMPTY.faces), tmp_path / "picture.png")
+    with pytest.raises(RenderError, match="points of the mesh all lie in one place"):
+        render_mesh(replace(dome(), vertices=np.zeros_like(EMPTY.vertices)), tmp_path / "picture.png")
+    far = replace(dome(), vertices=np.float32(1e34) * dome().vertices)
+    with pytest.raises(RenderError, match=r"mesh to compare with reaches 4e\+36 mm, and 1e\+07 mm is the most"):
+        render_mesh(dome(), tmp_path / "picture.png", compared=far)
     with pytest.raises(OutputError, match=r"a still picture, in which no eye moves: name it \.mp4"):
         render_mesh(dome(), tmp_path / "picture.png", PictureOptions(turn_deg=10))
     with pytest.raises(RenderError, match="not in mm"):

@@ -178,6 +178,44 @@ def test_lists_that_reach_beyond_the_file_are_refused(tmp_path: Path) -> None:
             read_mesh(tmp_path / "mesh.ply")
 
 
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("mesh.obj", "v 0 0 0\nv 1 0 0\nv 1e39 1 0\nf 1 2 3\n", "some are not finite"),
+        ("mesh.ply", f"{HEAD}end_header\n{POINTS.replace('1', '1e38')}", "some are not finite"),  # in m
+        (
+            "mesh.wrl",
+            "#VRML V2.0 utf8\nIndexedFaceSet { coord Coordinate { point [0 0 0 1 0 0 1 1 0] } "
+            "coordIndex [0 1 1e300 -1] }",
+            "faces: got corners",
+        ),
+    ],
+)
+def test_numbers_beyond_float32_are_refused_without_a_warning(tmp_path: Path, name: str, text: str, said: str) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(FootageError, match=said):
+        read_mesh(tmp_path / name, unit="m")
+
+
+@pytest.mark.usefixtures("cpu")
+def test_a_grid_of_any_numbers_is_read_without_a_warning(tmp_path: Path) -> None:
+    (tmp_path / "grid.pcd").write_text(
+        "FIELDS x y z sigma_mm\nSIZE 4 4 4 4\nTYPE F F F F\nWIDTH 3\nHEIGHT 2\nDATA ascii\n"
+        "1e30 0 1e-9 1e-30\n0 0 1 1e30\n1 1 1 1\n0 1 1 1\n1e30 1e30 1e30 1\n0 0 2 1\n"
+    )
+    assert np.isfinite(read_mesh(tmp_path / "grid.pcd").vertices).all()
+
+
+def test_memory_that_is_used_up_is_not_taken_for_damage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def take_all(*_: object, **__: object) -> None:
+        raise MemoryError
+
+    (tmp_path / "mesh.obj").write_text(V)
+    monkeypatch.setattr("trimesh.load_scene", take_all)
+    with pytest.raises(FootageError, match="holds does not fit into memory"):
+        read_mesh(tmp_path / "mesh.obj")
+
+
 V = "v 0 0 0\nv 1 0 0\nv 2 1 0\nv 1 2 0\nv 0 1 0\n"
 
 

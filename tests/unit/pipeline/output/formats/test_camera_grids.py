@@ -74,6 +74,7 @@ def lens_of(width, height):
     [
         (lambda: b"no picture", "it is no PNG and no TIFF picture"),
         (lambda: remarks()[:-60], "it is damaged"),
+        (lambda: remarks()[:16] + b"\1" + remarks()[17:], "it is no PNG and no TIFF picture, or damaged"),
         (lambda: png_of(np.zeros((4, 4, 3), np.uint8)), "it is no picture of depth: that has one channel of 16 bits"),
         (
             lambda: png_of(np.zeros((4, 4), np.uint16)),

@@ -115,6 +115,13 @@ def test_wrong_numbers_and_damage_are_a_line(tmp_path, cpu):
             read_mesh(path, 0)
 
 
+def test_a_damaged_length_is_not_allocated(tmp_path, cpu):
+    path = bag_of(tmp_path, 1)
+    path.write_bytes(path.read_bytes()[:9] + (2**62).to_bytes(8, "little") + path.read_bytes()[17:])
+    with pytest.raises(FootageError, match=r"it is damaged \(ReaderError\)"):
+        read_mesh(path)
+
+
 def test_a_bag_that_holds_other_things(tmp_path):
     grid = tilted_grid()
     write_bag(tmp_path / "bag", [], {})
