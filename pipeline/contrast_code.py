@@ -160,8 +160,7 @@ def _averaged(code: ContrastCode, width: int) -> npt.NDArray[np.float64]:
     """Return a code's levels, averaged over so many places."""
     levels = code._levels
     if width > 1:
-        kernel = np.zeros(levels.shape[-1])
-        kernel[:width] = 1 / width
-        kernel = np.roll(kernel, -((width - 1) // 2))
+        away = np.abs(np.fft.fftfreq(levels.shape[-1], 1 / levels.shape[-1]))
+        kernel = np.clip((width + 1) / 2 - away, 0, 1) / width  # as far to either side: half a place for an even one
         levels = np.fft.irfft(np.fft.rfft(levels) * np.fft.rfft(kernel), levels.shape[-1])
     return np.asarray(np.log(levels[:, 0] / levels[:, 1]))

@@ -70,9 +70,7 @@ def seen(name, shares):
 def measured(name, raw, unwrapped, known=True):
     code, columns = code_and_columns(name)
     region, known = np.ones(raw.shape, np.int32), np.array([False, known])
-    return measure_ripples(
-        raw, unwrapped, region, known, within=WITHIN, period_px=PERIOD, code=code, columns=columns
-    )
+    return measure_ripples(raw, unwrapped, region, known, within=WITHIN, period_px=PERIOD, code=code, columns=columns)
 
 
 @each_code

@@ -8,7 +8,10 @@ from pipeline.simulation import simulated_rig
 from tikernels.order_evidence.contrast_reading import BLOCK_WIDTH
 
 SIZE = (320, 240)
-LENSES = {"camera_distortion": (-0.12, 0.08, 0.001, -0.0008, 0.0), "projector_distortion": (-0.06, 0.05, -0.001, 5e-4, 0.0)}
+LENSES = {
+    "camera_distortion": (-0.12, 0.08, 0.001, -0.0008, 0.0),
+    "projector_distortion": (-0.06, 0.05, -0.001, 5e-4, 0.0),
+}
 
 
 def geometry_of(tilt_deg=0.0, stripes="horizontal", **lenses):
@@ -32,7 +35,10 @@ def projected(geometry, points):
     k1, k2, p1, p2, k3 = geometry.projector.distortion[:5]
     square = x * x + y * y
     radial = 1 + square * (k1 + square * (k2 + square * k3))
-    x, y = x * radial + 2 * p1 * x * y + p2 * (square + 2 * x * x), y * radial + p1 * (square + 2 * y * y) + 2 * p2 * x * y
+    x, y = (
+        x * radial + 2 * p1 * x * y + p2 * (square + 2 * x * x),
+        y * radial + p1 * (square + 2 * y * y) + 2 * p2 * x * y,
+    )
     matrix = geometry.projector.matrix
     pixel = np.stack([matrix[0, 0] * x + matrix[0, 2], matrix[1, 1] * y + matrix[1, 2]])
     return pixel[geometry.phase_axis] / geometry.pattern.period_px, pixel[1 - geometry.phase_axis]

@@ -22,9 +22,7 @@ def columns_at(nodes, shape, cycles):
     y, x = (np.arange(n) / NODE_PX for n in shape)
     row, column = y.astype(int), x.astype(int)
     down, right = (y - row)[:, None, None], (x - column)[:, None]
-    upper, lower = (
-        nodes[r][:, column] * (1 - right) + nodes[r][:, column + 1] * right for r in (row, row + 1)
-    )
+    upper, lower = (nodes[r][:, column] * (1 - right) + nodes[r][:, column + 1] * right for r in (row, row + 1))
     terms = upper * (1 - down) + lower * down
     return (terms * cycles[..., None] ** np.arange(4)).sum(axis=-1)
 
