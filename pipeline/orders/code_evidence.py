@@ -25,8 +25,9 @@ SPREADS = np.array([0.006, 0.012, 0.024, 0.048])
 _FITTED = 0.012
 # How probably a block shows something else than the code, and how far that then lies off.
 _OTHER, _OTHER_SIGMA = 0.15, 0.2
-# Blocks side by side deviate alike: each counts as this many.
-_INDEPENDENT = 0.6
+# Blocks side by side deviate alike: each counts as this many. Those of a cycle with one symbol do so all along, by what
+# is not known of the response: they count as this many together.
+_INDEPENDENT, _OF_CYCLE = 0.6, 2.0
 # Standard deviations of a part's factor: of its slopes (a px), of ambient light's share, and of its middle, about the
 # frame's once that is known.
 _SLOPE, _AMBIENT, _GAIN, _ANY_GAIN = 5e-4, 0.25, 0.08, 0.5
@@ -189,15 +190,28 @@ class CodeReader:
         middle, usual = place.mean(axis=0), float(np.median(brightness))
         shape = Factor.shape(place, brightness, middle, usual)
         remains, variance = contrast[:, None] - expected, blocks.variance[which]
-        likelihood, terms = fit_levels(remains, inside, shape, variance, self._gain)
-        if no_code and self.code.cell_px is not None:
-            # Or as if every block had a symbol of its own, which no offset of the code has there.
+        counts = self._counts(blocks.order[which])
+        likelihood, terms = fit_levels(remains, inside, shape, variance, counts, self._gain)
+        if no_code:
+            # Or as if every block, or cycle, had a symbol of its own, which no offset of the code has there.
             levels = self.levels[self._gamma, ::3, ::5]
             any_of = np.quantile(levels - levels.mean(), (np.arange(_LEVELS) + 0.5) / _LEVELS)
             departs = remains[:, -1] - shape @ terms[:, -1]
-            at_random = np.log(densities(departs[:, None] - any_of, variance).mean(axis=2)).sum(axis=1)
-            likelihood[-1] = np.logaddexp(likelihood[-1], _mean_of(_INDEPENDENT * at_random) - self._trust)
+            shown = counts[:, None] * np.log(densities(departs[:, None] - any_of, variance))
+            if self.code.cell_px is None:
+                sort = np.argsort(blocks.order[which], kind="stable")
+                starts = np.flatnonzero(np.diff(blocks.order[which][sort], prepend=np.iinfo(np.int64).min))
+                shown = np.add.reduceat(shown[:, sort], starts, axis=1)
+            at_random = np.logaddexp.reduce(shown, axis=2) - np.log(_LEVELS)
+            likelihood[-1] = np.logaddexp(likelihood[-1], _mean_of(at_random.sum(axis=1)) - self._trust)
         return likelihood, Factor(middle, usual, terms)
+
+    def _counts(self, order: Integers) -> FloatArray:
+        """Return as how many each of these blocks (n,) of a part counts."""
+        if self.code.cell_px is not None:
+            return np.full(len(order), _INDEPENDENT)
+        _, cycle, held = np.unique(order, return_inverse=True, return_counts=True)
+        return np.minimum(_INDEPENDENT, _OF_CYCLE / held[cycle])
 
     def read(self, which: Integers) -> PartEvidence:
         """Return what the blocks (n,) of a part say of its offsets."""
@@ -310,6 +324,7 @@ def fit_levels(
     inside: npt.NDArray[np.bool_],
     terms: FloatArray,
     variance: FloatArray,
+    counts: FloatArray,
     gain: float | None,
 ) -> tuple[FloatArray, FloatArray]:
     """Fit a part's factor to what the code leaves of its blocks' contrasts, at each offset.
@@ -324,6 +339,8 @@ def fit_levels(
         What the factor is made of.
     variance : (n,) float
         Of the contrasts, by noise.
+    counts : (n,) float
+        As how many each block counts.
     gain : float, optional
         The usual factor in the frame.
 
@@ -348,14 +365,14 @@ def fit_levels(
         far = noise + _OTHER_SIGMA**2
         with np.errstate(over="ignore"):
             odds = _OTHER / (1 - _OTHER) * np.sqrt(noise / far) * np.exp(0.5 * squares * (1 / noise - 1 / far))
-        weights = _INDEPENDENT * inside / noise / (1 + odds)
+        weights = counts[:, None] * inside / noise / (1 + odds)
         normal = (weights.T @ pairs).reshape(-1, 4, 4) + prior
         fit = np.asarray(np.linalg.solve(normal, ((weights * departs).T @ terms)[..., None])[..., 0].T, np.float64)
     far = np.log(_OTHER / np.sqrt(variance + _OTHER_SIGMA**2))[:, None]
-    shown = np.where(inside, np.log(densities(departs - terms @ fit, variance)), far).sum(axis=1)
+    shown = counts @ np.where(inside, np.log(densities(departs - terms @ fit, variance)), far)
     cost = np.einsum("ik,ij,jk->k", fit, prior, fit) + np.linalg.slogdet(normal)[1] - np.linalg.slogdet(prior)[1]
     fit[0] += usual
-    return np.asarray(_mean_of(_INDEPENDENT * shown) - 0.5 * cost), fit
+    return np.asarray(_mean_of(shown) - 0.5 * cost), fit
 
 
 def densities(departs: FloatArray, variance: FloatArray) -> FloatArray:

@@ -1,5 +1,7 @@
 """What blocks say of their part's offset, of the code itself and of where it lies."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from support.coded_blocks import CODES, code_and_columns, reader_of
@@ -92,6 +94,36 @@ def test_a_frame_without_the_code(name):
         assert found.error(found.best) > 0.1, noise
 
 
+OTHERS = {
+    "reversed": lambda levels: levels[:, ::-1],
+    "permuted": lambda levels: levels[:, np.random.default_rng(3).permutation(levels.shape[1])],
+    "mirrored": lambda levels: levels[..., ::-1],
+}
+
+
+@pytest.mark.parametrize(("name", "other"), [*product(CODES, ["reversed", "permuted"]), ("contrast2", "mirrored")])
+def test_another_sequence_is_not_the_code(name, other):
+    """The code's own symbols, from the last cycle or cell to the first or in another order, on all of the frame."""
+    reader = reader_of(name, 40, 12, 2)
+    blocks, own = reader.blocks, reader.levels
+    reader.levels = OTHERS[other](own)
+    blocks.contrast[:] += reader.expected(all_of(reader), blocks.order + 2)[0]
+    reader.levels = own
+    blocks.contrast[:] -= reader.expected(all_of(reader), blocks.order + 2)[0]
+    assert not reader.learn()
+    found = posterior(reader)
+    assert found.error(found.best) > 0.1
+
+
+def test_a_wider_surface_of_few_cycles_is_no_surer():
+    """Of the first code: what is not known of the response is off alike all along a cycle."""
+    errors = []
+    for columns in (6, 24):
+        found = posterior(reader_of("contrast", 3, columns, 21))
+        errors.append(found.error(found.best))
+    assert errors[0] > 1e-2 and errors[1] > 0.5 * errors[0]
+
+
 @each_code
 def test_what_was_learnt_is_passed_on(name):
     reader = reader_of(name, 12, 12, 20, gamma=1.0, factor=-0.2)
@@ -144,12 +176,13 @@ def test_terms_are_fitted_in_spite_of_strangers():
     seen[::10] -= 0.3
     variance, inside = np.full(200, 0.004**2), np.ones((200, 2), np.bool_)
     remains = np.column_stack([seen, rng.normal(0, 0.1, 200)])
-    likelihood, found = fit_levels(remains, inside, terms, variance, None)
+    counts = np.full(200, 0.6)
+    likelihood, found = fit_levels(remains, inside, terms, variance, counts, None)
     np.testing.assert_allclose(terms @ found[:, 0], terms @ true, atol=0.005)
     assert likelihood[0] > likelihood[1] + 100
     # What the code does not have there is as unusual as what shows something else.
     inside[:40, 0] = False
-    fewer, _ = fit_levels(remains, inside, terms, variance, None)
+    fewer, _ = fit_levels(remains, inside, terms, variance, counts, None)
     assert fewer[0] < likelihood[0] - 20
 
 
