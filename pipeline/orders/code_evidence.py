@@ -41,8 +41,9 @@ _STRAYS, _NO_CODE = 0.05, 0.1
 _SHIFTS, _MOST_SHIFT, _SURE_SHIFT = 13, 0.25, 20.0
 # Where much is tried of the largest parts, one in so many of their blocks is looked at.
 _LEARNT = 3
-# By how much likelier than no code, or another one, a frame's largest parts must be (natural logarithm), and how much
-# that may count for other parts: where the rig has been turned a part of the picture may lie elsewhere.
+# By how much likelier than no code, or another one, a frame's largest parts must be to show it (natural logarithm), or
+# less likely not to; and how much that may count for other parts: where the rig has been turned a part of the picture
+# may lie elsewhere.
 _SHOWN, _MOST_TRUST = 5.0, 12.0
 # A factor changes from surface to surface of a part: what is left of it is taken from so many blocks and rows of
 # patches around each, and at most so much of each. So it is where larger parts than this are not decided by that much.
@@ -255,8 +256,11 @@ class CodeReader:
         ends = (np.searchsorted(self.blocks.root[sort], parts, side) for side in ("left", "right"))
         return [self.read(sort[first:last]) for first, last in zip(*ends, strict=True)]
 
-    def learn(self) -> bool:
-        """Take the response and the usual factor from the frame's largest parts, and say if they show the code."""
+    def learn(self) -> bool | None:
+        """Take the response and the usual factor from the frame's largest parts, and say if they show the code.
+
+        None: they are too small to say.
+        """
         largest = self._largest()
         if not largest:
             return False
@@ -269,7 +273,7 @@ class CodeReader:
         more = sum(_log_sum(part.likelihood) - np.log(len(part.likelihood)) - part.no_code for part in read)
         self._gain = float(np.median([part.factor.terms[0, part.likelihood.argmax()] for part in read]))
         self._trust = min(max(more, 0.0), _MOST_TRUST)
-        return bool(more > _SHOWN)
+        return None if abs(more) <= _SHOWN else bool(more > 0)
 
     def _largest(self) -> list[Integers]:
         """Return the blocks of the largest parts."""
@@ -294,18 +298,23 @@ class CodeReader:
         return self.code.cell_px is not None and abs(shift_px) > _MOST_SHIFT * self.code.cell_px
 
     def shift_anywhere(self) -> float | None:
-        """Return the shift over half a repeat of the code either way, whatever the offsets; None: nothing tells."""
+        """Return the shift over half a repeat of the code either way, whatever the offsets; None: nothing tells.
+
+        Elsewhere nothing tells the response either: a linear and the usual one are tried.
+        """
         if self.code.cell_px is None:
             return None
         shifts = np.arange(-0.5, 0.5, 0.25 / WORD_CELLS) * self.code.repeats_px
-        total = np.zeros(len(shifts))
-        for some in self._largest():
-            offsets, few = self.offsets(some), some[:: -(-_LEARNT * len(some) // _MOST_BLOCKS)]
-            each, further = np.repeat(offsets, len(shifts)), np.tile(shifts, len(offsets))
-            likelihood, _ = self.fit(few, each, shifts_px=further, no_code=True)
-            by_offset = likelihood[:-1].reshape(len(offsets), -1)
-            total += np.logaddexp.reduce(by_offset, axis=0) - np.log(len(offsets)) - likelihood[-1]
-        return _peak(shifts, total) if total.max(initial=0.0) > _SURE_SHIFT else None
+        totals = np.zeros((2, len(shifts)))
+        for total, self._gamma in zip(totals, (GAMMAS.index(1.0), GAMMAS.index(2.0)), strict=True):
+            for some in self._largest():
+                offsets, few = self.offsets(some), some[:: -(-_LEARNT * len(some) // _MOST_BLOCKS)]
+                each, further = np.repeat(offsets, len(shifts)), np.tile(shifts, len(offsets))
+                likelihood, _ = self.fit(few, each, shifts_px=further, no_code=True)
+                by_offset = likelihood[:-1].reshape(len(offsets), -1)
+                total += np.logaddexp.reduce(by_offset, axis=0) - np.log(len(offsets)) - likelihood[-1]
+        total = totals[totals.max(axis=1).argmax()]
+        return _peak(shifts, total) if total.max() > _SURE_SHIFT else None
 
     def shift(self, shift_px: float) -> None:
         """Read the code so many px further along the stripe."""

@@ -43,6 +43,11 @@ def test_smaller_ones_do_not(name):
 
 
 @each_code
+def test_a_frame_that_shows_too_little_to_say(name):
+    assert reader_of(name, *{"contrast": (3, 3), "contrast2": (1, 3)}[name], 21).learn() is None
+
+
+@each_code
 def test_chance_that_looks_like_the_code_is_doubted(name):
     reader = reader_of(name, *{"contrast": (5, 1), "contrast2": (1, 6)}[name], 9)
     errors = [posterior(reader, luck).error(9) for luck in (0.0, 8.0)]
@@ -89,7 +94,7 @@ def test_a_frame_without_the_code(name):
     for noise in (0.0, 0.01, 0.1):
         reader = reader_of(name, 12, 12, 20)
         reader.blocks.contrast[:] = np.random.default_rng(2).normal(-0.3, noise, len(reader.blocks.order))
-        assert not reader.learn(), noise
+        assert reader.learn() is False, noise
         found = posterior(reader)
         assert found.error(found.best) > 0.1, noise
 
@@ -110,7 +115,7 @@ def test_another_sequence_is_not_the_code(name, other):
     blocks.contrast[:] += reader.expected(all_of(reader), blocks.order + 2)[0]
     reader.levels = own
     blocks.contrast[:] -= reader.expected(all_of(reader), blocks.order + 2)[0]
-    assert not reader.learn()
+    assert reader.learn() is False
     found = posterior(reader)
     assert found.error(found.best) > 0.1
 
@@ -223,8 +228,11 @@ def test_a_shift_of_less_than_half_a_cell(shift_px):
 
 
 @pytest.mark.parametrize("shift_px", [-40.0, -8.0, 16.0, 60.0])
-def test_a_shift_anywhere(shift_px):
-    reader = reader_of("contrast2", 10, 12, 20, shift_px=shift_px)
+@pytest.mark.parametrize("gamma", [1.0, 2.3])
+def test_a_shift_anywhere(shift_px, gamma):
+    """Whatever the response is taken to be by what is read where the code is not."""
+    reader = reader_of("contrast2", 10, 12, 20, shift_px=shift_px, gamma=gamma)
+    assert not reader.learn()
     assert reader.shift_anywhere() == pytest.approx(shift_px, abs=0.5)
 
 
