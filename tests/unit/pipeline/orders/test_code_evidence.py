@@ -44,7 +44,7 @@ def test_smaller_ones_do_not(name):
 
 @each_code
 def test_a_frame_that_shows_too_little_to_say(name):
-    assert reader_of(name, *{"contrast": (3, 3), "contrast2": (1, 3)}[name], 21).learn() is None
+    assert reader_of(name, *{"contrast": (2, 4), "contrast2": (1, 3)}[name], 12).learn() is None
 
 
 @each_code
