@@ -588,21 +588,20 @@ def measure_contrast(
     labels: Array,
     slots: int,
 ) -> dict[int, Array]:
-    """Return by draft of a patch the sums of weight, modulation, background and phase of its orders, balance first."""
+    """Return by draft of a patch the sums of weight, modulation, background, phase of its orders and blocks."""
     sums: dict[int, Array] = {}
-    cell_width, order_bits, order_zero = 8, 6, 32
+    cell_width, block_width, order_bits, order_zero = 8, 4, 6, 32
     for y, x in np.ndindex(labels.shape):
+        if labels[y, x] < 0:
+            continue
         left = x // cell_width * cell_width
         right = min(left + cell_width, labels.shape[1])
-        times = sum(x == min(left + column, right - 1) for column in (1, 6))
-        if labels[y, x] < 0 or times == 0:
-            continue
         gain = gain_at(gains.astype(np.float64), gain_cell, y // 4 * 4 + 2, (left + right) // 2)
         background = (inverse.astype(np.float64) @ (image[y, x] * gain)).mean()
         weight = (1 - (float(phase[y, x]) / np.pi) ** 2) ** 2
         slot = (labels[y, x] & (2**order_bits - 1)) - order_zero + slots // 2
-        own = sums.setdefault(int(labels[y, x] >> order_bits), np.zeros((slots, 4)))
-        own[slot] += times * weight * np.array([1.0, modulation[y, x], background, phase[y, x]])
+        own = sums.setdefault(int(labels[y, x] >> order_bits), np.zeros((slots, cell_width // block_width, 4)))
+        own[slot, (x - left) // block_width] += weight * np.array([1.0, modulation[y, x], background, phase[y, x]])
     return sums
 
 
@@ -643,14 +642,23 @@ def grow_parts(
     return part
 
 
-def correct_by_modulation(phase: Array, deviations: Array, tables: Array, shift: float, reach: float) -> Array:
-    """Return the corrected absolute phase (rad): response and blur where the modulation departs from the usual one."""
-    cycles = phase / CYCLE
-    indices = np.arange(len(deviations))
-    low, here, high = (np.interp(cycles + d, indices, deviations) for d in (-reach, 0, reach))
-    edges = np.linspace(-np.pi, np.pi, tables.shape[1])
-    linear, square = (np.interp(wrapped(phase), edges, table) for table in tables.astype(np.float64))
-    return phase + here * linear + ((1 + here) ** 2 - 1) * square - shift * (high - low) / (2 * reach * (1 + here))
+def correct_by_modulation(
+    cycles: Array, table: Array, a_cycle: int, along: Array, within: Array, shares: Array
+) -> Array:
+    """Return what is to be added (rad): response, blur and balance where the modulation departs from the usual one.
+
+    Of a code's ripples, (N, places, 3), by absolute phase in cycles and column in repeats of the code.
+    """
+    places = np.minimum((np.mod(along, 1) * table.shape[1]).astype(int), table.shape[1] - 1)
+    row = np.clip(cycles * a_cycle, 0, len(table) - 1)
+    below = np.minimum(row.astype(int), len(table) - 2)
+    on = (row - below)[..., None]
+    here = (1 - on) * table[below, places] + on * table[below + 1, places]
+    edges = np.linspace(-0.5, 0.5, within.shape[1])
+    linear, square = (np.interp(cycles, edges, row, period=1) for row in within.astype(np.float64))
+    deviation = here[..., 0]
+    of_contrast = deviation * linear + ((1 + deviation) ** 2 - 1) * square
+    return shares[0] * of_contrast + shares[1] * here[..., 1] + shares[2] * here[..., 2]
 
 
 def fit_phase(

@@ -25,8 +25,9 @@ SPREADS = np.array([0.006, 0.012, 0.024, 0.048])
 _FITTED = 0.012
 # How probably a block shows something else than the code, and how far that then lies off.
 _OTHER, _OTHER_SIGMA = 0.15, 0.2
-# Blocks side by side deviate alike: each counts as this many, and all of a cycle as so many where it has one symbol.
-_INDEPENDENT, _OF_A_CYCLE = 0.6, 2.0
+# Blocks side by side deviate alike: each counts as this many. Those of a cycle with one symbol do so all along, by what
+# is not known of the response: they count as this many together.
+_INDEPENDENT, _OF_CYCLE = 0.6, 2.0
 # Standard deviations of a part's factor: of its slopes (a px), of ambient light's share, and of its middle, about the
 # frame's once that is known.
 _SLOPE, _AMBIENT, _GAIN, _ANY_GAIN = 5e-4, 0.25, 0.08, 0.5
@@ -40,8 +41,9 @@ _STRAYS, _NO_CODE = 0.05, 0.1
 _SHIFTS, _MOST_SHIFT, _SURE_SHIFT = 13, 0.25, 20.0
 # Where much is tried of the largest parts, one in so many of their blocks is looked at.
 _LEARNT = 3
-# By how much likelier than no code, or another one, a frame's largest parts must be (natural logarithm), and how much
-# that may count for other parts: where the rig has been turned a part of the picture may lie elsewhere.
+# By how much likelier than no code, or another one, a frame's largest parts must be to show it (natural logarithm), or
+# less likely not to; and how much that may count for other parts: where the rig has been turned a part of the picture
+# may lie elsewhere.
 _SHOWN, _MOST_TRUST = 5.0, 12.0
 # A factor changes from surface to surface of a part: what is left of it is taken from so many blocks and rows of
 # patches around each, and at most so much of each. So it is where larger parts than this are not decided by that much.
@@ -212,20 +214,28 @@ class CodeReader:
         middle, usual = place.mean(axis=0), float(np.median(brightness))
         shape = Factor.shape(place, brightness, middle, usual)
         remains, variance = contrast[:, None] - expected, blocks.variance[which]
-        counts = np.full(len(which), _INDEPENDENT)
-        if self.code.cell_px is None:
-            # What a place has in common along the stripe looks like a symbol of its own.
-            _, row, length = np.unique(blocks.order[which], return_inverse=True, return_counts=True)
-            counts = np.minimum(counts, _OF_A_CYCLE / length[row])
+        counts = self._counts(blocks.order[which])
         likelihood, terms = fit_levels(remains, inside, shape, variance, counts, self._gain)
-        if no_code and self.code.cell_px is not None:
-            # Or as if every block had a symbol of its own, which no offset of the code has there.
+        if no_code:
+            # Or as if every block, or cycle, had a symbol of its own, which no offset of the code has there.
             levels = self.levels[self._gamma, ::3, ::5]
             any_of = np.quantile(levels - levels.mean(), (np.arange(_LEVELS) + 0.5) / _LEVELS)
             departs = remains[:, -1] - shape @ terms[:, -1]
-            at_random = np.log(densities(departs[:, None] - any_of, variance).mean(axis=2)) @ counts
-            likelihood[-1] = np.logaddexp(likelihood[-1], _mean_of(at_random) - self._trust)
+            shown = counts[:, None] * np.log(densities(departs[:, None] - any_of, variance))
+            if self.code.cell_px is None:
+                sort = np.argsort(blocks.order[which], kind="stable")
+                starts = np.flatnonzero(np.diff(blocks.order[which][sort], prepend=np.iinfo(np.int64).min))
+                shown = np.add.reduceat(shown[:, sort], starts, axis=1)
+            at_random = np.logaddexp.reduce(shown, axis=2) - np.log(_LEVELS)
+            likelihood[-1] = np.logaddexp(likelihood[-1], _mean_of(at_random.sum(axis=1)) - self._trust)
         return likelihood, Factor(middle, usual, terms)
+
+    def _counts(self, order: Integers) -> FloatArray:
+        """Return as how many each of these blocks (n,) of a part counts."""
+        if self.code.cell_px is not None:
+            return np.full(len(order), _INDEPENDENT)
+        _, cycle, held = np.unique(order, return_inverse=True, return_counts=True)
+        return np.minimum(_INDEPENDENT, _OF_CYCLE / held[cycle])
 
     def read(self, which: Integers) -> PartEvidence:
         """Return what the blocks (n,) of a part say of its offsets."""
@@ -275,8 +285,11 @@ class CodeReader:
         ends = (np.searchsorted(self.blocks.root[sort], parts, side) for side in ("left", "right"))
         return [self.read(sort[first:last]) for first, last in zip(*ends, strict=True)]
 
-    def learn(self) -> bool:
-        """Take the response and the usual factor from the frame's largest parts, and say if they show the code."""
+    def learn(self) -> bool | None:
+        """Take the response and the usual factor from the frame's largest parts, and say if they show the code.
+
+        None: they are too small to say.
+        """
         largest = self._largest()
         if not largest:
             return False
@@ -293,7 +306,7 @@ class CodeReader:
         more = sum(_log_sum(part.likelihood) - np.log(len(part.likelihood)) - part.no_code for part in read)
         self._gain = float(np.median([part.factor.terms[0, part.likelihood.argmax()] for part in read]))
         self._trust = min(max(more, 0.0), _MOST_TRUST)
-        return bool(more > _SHOWN)
+        return None if abs(more) <= _SHOWN else bool(more > 0)
 
     def _largest(self) -> list[Integers]:
         """Return the blocks of the largest parts."""
@@ -318,18 +331,23 @@ class CodeReader:
         return self.code.cell_px is not None and abs(shift_px) > _MOST_SHIFT * self.code.cell_px
 
     def shift_anywhere(self) -> float | None:
-        """Return the shift over half a repeat of the code either way, whatever the offsets; None: nothing tells."""
+        """Return the shift over half a repeat of the code either way, whatever the offsets; None: nothing tells.
+
+        Elsewhere nothing tells the response either: a linear and the usual one are tried.
+        """
         if self.code.cell_px is None:
             return None
         shifts = np.arange(-0.5, 0.5, 0.25 / WORD_CELLS) * self.code.repeats_px
-        total = np.zeros(len(shifts))
-        for some in self._largest():
-            offsets, few = self.offsets(some), some[:: -(-_LEARNT * len(some) // _MOST_BLOCKS)]
-            each, further = np.repeat(offsets, len(shifts)), np.tile(shifts, len(offsets))
-            likelihood, _ = self.fit(few, each, shifts_px=further, no_code=True)
-            by_offset = likelihood[:-1].reshape(len(offsets), -1)
-            total += np.logaddexp.reduce(by_offset, axis=0) - np.log(len(offsets)) - likelihood[-1]
-        return _peak(shifts, total) if total.max(initial=0.0) > _SURE_SHIFT else None
+        totals = np.zeros((2, len(shifts)))
+        for total, self._gamma in zip(totals, (GAMMAS.index(1.0), GAMMAS.index(2.0)), strict=True):
+            for some in self._largest():
+                offsets, few = self.offsets(some), some[:: -(-_LEARNT * len(some) // _MOST_BLOCKS)]
+                each, further = np.repeat(offsets, len(shifts)), np.tile(shifts, len(offsets))
+                likelihood, _ = self.fit(few, each, shifts_px=further, no_code=True)
+                by_offset = likelihood[:-1].reshape(len(offsets), -1)
+                total += np.logaddexp.reduce(by_offset, axis=0) - np.log(len(offsets)) - likelihood[-1]
+        total = totals[totals.max(axis=1).argmax()]
+        return _peak(shifts, total) if total.max() > _SURE_SHIFT else None
 
     def shift(self, shift_px: float) -> None:
         """Read the code so many px further along the stripe, from now on."""
@@ -370,7 +388,7 @@ def fit_levels(
     variance : (n,) float
         Of the contrasts, by noise.
     counts : (n,) float
-        How much each block counts.
+        As how many each block counts.
     gain : float, optional
         The usual factor in the frame.
 

@@ -41,7 +41,7 @@ class CodedOrders:
     absolute: AbsoluteOrders  # the parts that are large enough, and their posteriors
     shifts: Integers  # (P,) whole cycles to add to the patches' orders so that they are their part's
     torn: npt.NDArray[np.bool_]  # (P,) patches that may belong to either of two parts
-    readable: bool  # whether the frame shows the code where it is expected
+    readable: bool | None  # whether the frame shows the code where it is expected; None: too little of it to say
     #: By how many projector px it lies further along the stripe than the calibration says; None: nobody knows.
     shift_px: float | None
 
@@ -84,7 +84,8 @@ def find_absolute_orders(
     shift_px = reader.shift_near() if readable else 0.0
     if not readable or reader.is_far(shift_px):
         elsewhere = reader.shift_anywhere()
-        return _unread(graph, order_range if elsewhere is None else None, elsewhere)
+        missing = None if readable is None and elsewhere is None else False
+        return _unread(graph, order_range if elsewhere is None else None, elsewhere, missing)
     reader.shift(shift_px)
     roots, main = cut_regions(reader, graph, order_range)
     if (main >= 0).any():
@@ -117,7 +118,9 @@ def find_absolute_orders(
     return CodedOrders(roots, absolute, settled.shifts, settled.torn, readable=True, shift_px=shift_px)
 
 
-def _unread(graph: PatchGraph, order_range: OrderRange | None, elsewhere_px: float | None) -> CodedOrders:
+def _unread(
+    graph: PatchGraph, order_range: OrderRange | None, elsewhere_px: float | None, readable: bool | None
+) -> CodedOrders:
     """Return what is known of regions whose code cannot be read: what the range leaves possible."""
     pixels = np.bincount(graph.root, graph.pixels, len(graph.root))
     parts = np.flatnonzero(pixels >= MIN_REGION_PX)
@@ -125,7 +128,7 @@ def _unread(graph: PatchGraph, order_range: OrderRange | None, elsewhere_px: flo
     if order_range is not None:
         posteriors = tuple(within.alone() for within in order_range.by_part(graph.root, parts, graph.pixels))
     settled, absolute = SettledBorders.none(graph.root), AbsoluteOrders(parts, posteriors)
-    return CodedOrders(graph.root, absolute, settled.shifts, settled.torn, readable=False, shift_px=elsewhere_px)
+    return CodedOrders(graph.root, absolute, settled.shifts, settled.torn, readable, shift_px=elsewhere_px)
 
 
 def _placed(

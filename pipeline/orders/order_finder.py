@@ -215,7 +215,7 @@ class OrderFinder:
             absolute, roots = found.absolute, found.roots
             patches.shift_orders(found.shifts)
             left_out = found.torn
-            if not found.readable:
+            if found.readable is False:
                 warning = _CODE_TOO_WEAK if seen.contrast < CODE_CONTRAST else _CODE_NOT_SEEN
                 if found.shift_px is not None:
                     warning = _moved(found.shift_px)
@@ -298,7 +298,7 @@ class OrderFinder:
         absolute = found.absolute
         sure = absolute.error_probability(absolute.offsets) < MAX_ABSOLUTE_ERROR
         share = graph.pixels[np.isin(found.roots, absolute.parts[sure])].sum() / max(graph.pixels.sum(), 1)
-        return found.readable and bool(share > _MIN_CODED)
+        return bool(found.readable and share > _MIN_CODED)
 
     def _find_absolute(
         self,

@@ -1,6 +1,6 @@
 """How probable each whole number of cycles is that a region's orders may lack to be absolute.
 
-The code gives a part its posterior (`code_posterior`). Every other source of evidence takes a posterior and returns it
+The code gives a part its posterior (`code_evidence`). Every other source of evidence takes a posterior and returns it
 with what it knows taken in: `PartRange.narrow` the expected depth, `Posterior.beside` the surfaces around, and
 `Posterior.after` the frame before. A further source, such as a second camera, does the same.
 """

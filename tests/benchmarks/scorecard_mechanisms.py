@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from tikernels._taichi import f32, i32, ti, u1
+from tikernels.phase.model_variance import ContrastDoubt
 
 Original = Any
 Replacement = Callable[[Original], Any]
@@ -181,17 +182,14 @@ def still(original: Original) -> Any:
 
 def uncut(original: Original) -> Any:
     """Cut no region."""
-    return lambda steps, graph, *_: (graph.root.copy(), np.full(len(graph.root), -1))
+    return lambda reader, graph, *_: (graph.root.copy(), np.full(len(graph.root), -1))
 
 
 def unsettled(original: Original) -> Any:
     """Move no patch across a border."""
     from pipeline.orders.border_settling import SettledBorders
 
-    def settled(cycles: Any, graph: Any, width: int, strength: float, roots: Any, *_: Any) -> Any:
-        return SettledBorders(roots, np.zeros(len(roots), np.int64), np.zeros(len(roots), np.bool_))
-
-    return settled
+    return lambda reader, graph, roots, *_: SettledBorders.none(roots)
 
 
 def orders_of_this_frame(original: Original) -> Any:
@@ -201,7 +199,30 @@ def orders_of_this_frame(original: Original) -> Any:
 
 def no_luck(original: Original) -> Any:
     """Count no piece's freedom to choose where it ends."""
-    return lambda likelihoods, luck: original(likelihoods, 0 * luck)
+    return lambda self, prior, luck: original(self, prior, 0.0)
+
+
+def flat_shapes(original: Original) -> Any:
+    """Take a part's factor to be the same all over."""
+
+    def shape(place: Any, *_: Any) -> Any:
+        return np.pad(np.ones((len(place), 1)), ((0, 0), (0, 3)))
+
+    return staticmethod(shape)
+
+
+def unflattened(original: Original) -> Any:
+    """Leave the contrasts of a part's blocks as they were seen."""
+    return lambda self, which, offset: self.blocks.contrast[which]
+
+
+def no_ripples(original: Original) -> Any:
+    """Correct by what the response makes of the contrast alone."""
+
+    def measured(*arguments: Any, **named: Any) -> Any:
+        return original(*arguments, **named)._replace(shares=np.array([1, 0, 0], np.float32))
+
+    return measured
 
 
 def no_slopes(original: Original) -> Any:
@@ -272,6 +293,8 @@ def ti_function(function: Any) -> Replacement:
 
 # --- the table -----------------------------------------------------------------------------------------------------
 
+CERTAIN = ContrastDoubt(0.0, 0.0)
+
 # fmt: off
 _ALL = (
     # The light.
@@ -332,7 +355,7 @@ _ALL = (
     Mechanism("model fit", "the phase that fits the channels' model best, not the arctangent", "bust-skin-1.8",
         {"phase_fit:_MAX_STEP": gives(1e-09)}, "phase_fit:fitted_step phase_fit:estimator_of"),
     Mechanism("contrast's variance", "how far a pixel's contrast may be from its neighbourhood's", "bust-skin-2-coded",
-        {"light_path:_CONTRAST_DOUBT": gives({None: 0.0, "contrast": 0.0})}, ""),
+        {"light_path:_PLAIN_DOUBT": gives(CERTAIN), "light_path:_CODED_DOUBT": gives(CERTAIN)}, ""),
     Mechanism("misfit's weight", "pixels that the model does not fit count less", "r-objects",
         {"phase_fit:MAX_MISFIT": gives(1000000000.0), "model_variance:MAX_MISFIT": gives(1000000000.0)},
         "model_variance:divided_by", promise="hot pixels and sparkling highlights, which none of its frames has"),
@@ -405,7 +428,7 @@ _ALL = (
         {"coded_orders:log_nearness": lambda original: lambda lacking, offsets: 0.0 * offsets},
         "nearness:nearness nearness:log_nearness"),
     Mechanism("luck", "a piece that was cut off fits the code by chance more often", "pile-small-coded",
-        {"coded_orders:code_posteriors": no_luck}, "",
+        {"code_evidence:PartEvidence.posterior": no_luck}, "",
         promise="a sequence that is not the code's, such as the code's reversed, makes nothing absolute"),
     Mechanism("same surface", "a piece has its region's orders before its own steps count", "pile-small-coded",
         {"posterior:Posterior.beside": first_argument}, "posterior:Posterior.beside"),
@@ -413,11 +436,23 @@ _ALL = (
         {"order_finder:OrderFinder._order_range": gives(None)},
         "order_finder:OrderFinder._order_range posterior:PartRange",
         promise="a depth range determines the orders of plain patterns; none of the frames has one"),
-    Mechanism("code's correction", "the phase is corrected by each cycle's modulation", "bust-skin-2-coded",
-        {"order_finder:_MIN_CORRECTION": gives(np.inf)}, "modulation_correction modulation"),
-    Mechanism("code's ripples", "what is left of the code's ripples is measured", "bust-skin-2-coded",
-        {"order_finder:ripple_left": gives(0.0)}, "modulation:ripple_left modulation:code_ripples",
-        promise="a projector out of focus: white waves at a blur of 2 px are off by 8.2 mrad without it, 7.0 with it"),
+    Mechanism("part's factor", "a part's contrasts have a plane and a share of ambient light in common",
+        "pile-small-coded", {"code_evidence:Factor.shape": flat_shapes}, "code_evidence:Factor.shape"),
+    Mechanism("flattening", "what surfaces of a part have of their own is taken off", "",
+        {"code_evidence:CodeReader.flattened": unflattened}, "code_evidence:CodeReader.flattened",
+        promise="regions that have joined surfaces"),
+    Mechanism("cycles count once", "what is not known of the response all blocks of a cycle share", "pile-small-coded",
+        {"code_evidence:_OF_CYCLE": gives(1e9)}, "code_evidence:CodeReader._counts",
+        promise="of 192 strips of two to four cycles 18 were absolute and wrong without it"),
+    Mechanism("code's shift", "the second code is read where it lies, up to a quarter of a cell off", "",
+        {"code_evidence:CodeReader.shift_near": gives(0.0)},
+        "code_evidence:CodeReader.shift_near code_evidence:CodeReader.shift_anywhere code_evidence:CodeReader.is_far",
+        promise="rigs that have moved since their calibration"),
+    Mechanism("code's correction", "the phase is corrected by the modulation of its place", "bust-skin-2-coded",
+        {"order_finder:correct_by_modulation": nothing}, "modulation_correction modulation"),
+    Mechanism("code's ripples", "how much the code bends the phase is measured", "bust-skin-2-coded",
+        {"order_finder:measure_ripples": no_ripples}, "modulation:measure_ripples",
+        promise="a projector out of focus"),
     Mechanism("guesses", "small parts whose order is a guess are left out", "pile-small-coded",
         {"order_finder:_MIN_GUESSED": gives(0.0)}, ""),
     # The frame before.

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.calibration import Calibration
+from pipeline.models import CodeName
 from pipeline.pattern import make_pattern
 from pipeline.simulation import SKIN, TYPICAL_CROSSTALK, WHITE, SimulatedFrame, simulated_rig
 
@@ -40,7 +41,7 @@ def piled_objects(
     objects: int,
     cycles: tuple[float, float],
     gamma: float,
-    code: str | None = "contrast",
+    code: CodeName | None = "contrast",
     painted: bool = False,
     touching: bool = False,
 ) -> tuple[SimulatedFrame, npt.NDArray[np.int64]]:
@@ -56,7 +57,7 @@ def piled_objects(
         How many cycles high they are.
     gamma : float
         The projector's response.
-    code : {"contrast"}, optional
+    code : {"contrast", "contrast2"}, optional
         The pattern's.
     painted : bool
         Every object has a colour of its own, and the wall is white; else all are skin.
@@ -64,11 +65,26 @@ def piled_objects(
         All are plates, and each lies one to three whole cycles before the wall at a place of its border.
     """
     rng = np.random.default_rng(seed)
-    rig = simulated_rig(SIZE, code="contrast" if code else None)
+    rig = simulated_rig(SIZE, code=code)
     surfaces = [_wall(rng, painted)]
     for _ in range(objects):
         color = PAINTS[rng.integers(len(PAINTS))] if painted else SKIN
         surfaces.append(_object(rng, rig, surfaces[0], cycles, color, touching))
+    return _photographed(rng, rig, surfaces, gamma)
+
+
+def plates_before_a_wall(
+    seed: int, size_px: tuple[float, float], *, gamma: float, code: CodeName
+) -> tuple[SimulatedFrame, npt.NDArray[np.int64]]:
+    """Return a frame of twelve plates, 1.5 cycles before a wall (0), and which surface every pixel sees."""
+    rng = np.random.default_rng(seed)
+    rig = simulated_rig(SIZE, code=code)
+    surfaces = [_wall(rng, painted=False)]
+    for x, y in np.stack(np.meshgrid(np.arange(4) + 0.5, np.arange(3) + 0.5), -1).reshape(-1, 2):
+        x, y = np.array([x / 4, y / 3]) * SIZE + rng.uniform(-30, 30, 2)
+        normal, ray = np.array([rng.uniform(-0.3, 0.3), rng.uniform(-0.3, 0.3), 1.0]), _ray(rig, x, y)
+        distance_mm = float(_depth_before(rig, surfaces[0], ray, 1.5) * ray @ normal)
+        surfaces.append(Surface(SKIN, normal, distance_mm, (False, x, y, size_px[0] / 2, size_px[1] / 2)))
     return _photographed(rng, rig, surfaces, gamma)
 
 
@@ -92,17 +108,21 @@ def _object(
     normal = np.array([rng.uniform(-0.4, 0.4), rng.uniform(-0.4, 0.4), 1.0])
     ray, depth = _ray(rig, x, y), rng.uniform(800, 910)
     if touching:
-        geometry = rig.geometry()
         dx, dy = ((0, -half_height), (0, half_height), (-half_width, 0), (half_width, 0))[rng.integers(4)]
         ray = _ray(rig, x + dx, y + dy)
-        behind = wall.distance_mm / float(ray @ wall.normal)
-        depths = np.linspace(behind - 180, behind, 600)
-        lead = np.abs(geometry.pattern_cycles(depths[:, None] * ray) - geometry.pattern_cycles((behind * ray)[None]))
-        depth = float(np.interp(rng.integers(1, 4), lead[::-1], depths[::-1]))
+        depth = _depth_before(rig, wall, ray, rng.integers(1, 4))
     elif rng.random() < 0.5:
         radius = half_height / rig.camera.matrix[0, 0] * depth
         return Surface(color, middle=ray * depth + [0, 0, radius], radius_mm=radius)
     return Surface(color, normal, float(depth * ray @ normal), outline)
+
+
+def _depth_before(rig: Calibration, wall: Surface, ray: Floats, cycles: float) -> float:
+    """Return how far along a ray the pattern is so many cycles before that on the wall."""
+    geometry, behind = rig.geometry(), wall.distance_mm / float(ray @ wall.normal)
+    depths = np.linspace(behind - 180, behind, 600)
+    lead = np.abs(geometry.pattern_cycles(depths[:, None] * ray) - geometry.pattern_cycles((behind * ray)[None]))
+    return float(np.interp(cycles, lead[::-1], depths[::-1]))
 
 
 def _ray(rig: Calibration, x: float, y: float) -> Floats:

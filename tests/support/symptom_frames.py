@@ -15,6 +15,7 @@ from support.exposures_off_cycle import exposed
 
 from pipeline import Calibration, Decoder, DecodeSettings
 from pipeline.decoding.frame import DecodedFrame
+from pipeline.models import CodeName
 from pipeline.output.range_image import write_png
 from pipeline.pattern import make_pattern
 from pipeline.simulation import TYPICAL_CROSSTALK, WHITE, SimulatedFrame, SimulationSettings, simulate_frame
@@ -59,7 +60,7 @@ class Symptom:
             return Decoder(settings, calibration, arch="cpu").decode(self.image)
 
 
-def rig(code: Literal["contrast"] | None = "contrast", **options: Any) -> Calibration:
+def rig(code: CodeName | None = "contrast", **options: Any) -> Calibration:
     """Return the geometry of the demo's rig."""
     return rig_of(code=code, **options)
 
@@ -195,6 +196,16 @@ def projector_moved() -> Symptom:
     return Symptom(_levels(truth), truth, calibrated(rig()))
 
 
+def pattern_moved() -> Symptom:
+    """Return a frame under the second code, after the projector's picture was shifted by 16 px along the stripe."""
+    geometry = rig("contrast2")
+    truth, projector = photographed(geometry), geometry.geometry().projector
+    matrix = projector.matrix - np.array([[0, 0, 16], [0, 0, 0], [0, 0, 0]])
+    return Symptom(
+        _levels(truth), truth, calibrated(geometry, projector=projector.model_copy(update={"matrix": matrix}))
+    )
+
+
 def wrong_scale() -> Symptom:
     """Return a ball by a board whose squares were taken for a fifth larger than they are: so is the baseline."""
     geometry = rig()
@@ -277,6 +288,7 @@ SYMPTOMS: dict[str, Callable[[], Symptom]] = {
     "depth_range": depth_range,
     "inside_out": inside_out,
     "projector_moved": projector_moved,
+    "pattern_moved": pattern_moved,
     "wrong_scale": wrong_scale,
     "paint": paint,
     "lateral_color": lateral_color,

@@ -21,7 +21,7 @@ from pipeline.orders.order_finder import OrderFinder
 from pipeline.simulation import TYPICAL_CROSSTALK, SimulationSettings, simulate_frame, simulated_rig
 
 CROSSTALK = np.array(TYPICAL_CROSSTALK)
-PERIODS = {None: 2 * 768 / 44, "contrast": 768 / 44}
+PERIODS = {None: 2 * 768 / 44, "contrast": 768 / 44, "contrast2": 2 * 768 / 44}
 
 
 @cache
@@ -132,6 +132,14 @@ def view(translation_mm):
     return said(lambda: OrderFinder(None, geometry, (500.0, 1500.0)))
 
 
+def moved(along_px):
+    """Return what decoding says where the projector's picture lies elsewhere along the stripe."""
+    projector = rig("contrast2").projector
+    matrix = projector.matrix + np.array([[0, 0, along_px], [0, 0, 0], [0, 0, 0]])
+    elsewhere = known(code="contrast2", projector=projector.model_copy(update={"matrix": matrix}))
+    return decoded(photographed("contrast2"), elsewhere)
+
+
 def repeated(image):
     """Return an RGB frame that a fast conversion made of 4:2:0."""
     return cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_RGB2YUV_I420), cv2.COLOR_YUV2RGB_I420)
@@ -152,6 +160,7 @@ CAUSES = {
     "code not seen": (lambda: plain_for_coded(), lambda: plain_for_coded(ambient=1.0)),
     "code too weak": (lambda: plain_for_coded(ambient=1.0), lambda: plain_for_coded()),
     "orders guessed": (lambda: frame("contrast", scene="bust", ambient=4.0), lambda: frame("contrast", scene="bust")),
+    "rig moved": (lambda: moved(16), lambda: moved(1)),
     "other scene": (
         lambda: decoded(photographed(scene="bust"), rig(), photographed(scene="plane")),
         lambda: decoded(photographed(seed=1), rig(), photographed()),

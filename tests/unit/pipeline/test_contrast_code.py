@@ -112,7 +112,7 @@ def shown(code, gamma, along_px):
 
 @each_code
 @pytest.mark.parametrize("gamma", [1.0, 2.0])
-@pytest.mark.parametrize("width_px", [0.0, 9.5])
+@pytest.mark.parametrize("width_px", [0.0, 5.0, 9.5])
 def test_levels_are_what_a_cycle_of_the_light_shows(code, gamma, width_px):
     """Under a response, at a place or averaged over a block of some px about it."""
     levels = code.levels(width_px)[GAMMAS.index(gamma), 1:-1]

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pipeline.contrast_code import ContrastCode
 from pipeline.decoding.light_path import LightPath
 from pipeline.decoding.self_calibration import LightEstimate
 from pipeline.errors import DecodeWarning, SettingsError
@@ -85,7 +86,7 @@ def test_uniform_phases_need_no_correction():
 )
 def test_the_code_is_the_settings_or_the_patterns(setting, pattern, code, unknown):
     path = LightPath(DecodeSettings(code=setting), simulated_rig((64, 48), code=pattern))
-    assert (path.code, path.code_unknown) == (code, unknown)
+    assert (path.code and path.code.name, path.code_unknown) == (code, unknown)
 
 
 @pytest.mark.parametrize(
@@ -95,7 +96,7 @@ def test_what_a_frame_shows_of_a_code_is_as_if_it_were_stated(known):
     """Whether the light is learnt before or after."""
     plain, coded = (LightPath(DecodeSettings(code=code), rig(**known)) for code in ("none", "contrast"))
     assert plain.contrast_doubt < coded.contrast_doubt
-    for code, stated in ((None, plain), ("contrast", coded)):
+    for code, stated in ((None, plain), (ContrastCode.named("contrast"), coded)):
         seen = LightPath(DecodeSettings(), rig(**known))
         seen.use_code(code)
         assert seen.code == stated.code and not seen.code_unknown

@@ -1,7 +1,7 @@
 """Where placed parts lead one to expect the others."""
 
 import numpy as np
-from support.coded_steps import WIDTH, grid
+from support.coded_blocks import WIDTH, grid
 
 from pipeline.orders.nearness import log_nearness, nearness
 

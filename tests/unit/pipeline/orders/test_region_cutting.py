@@ -1,68 +1,72 @@
 """Regions that have joined surfaces across steps of whole cycles."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from support.coded_steps import grid, shown
+from support.coded_blocks import CODES, grid, reader_of
 
 from pipeline.orders.posterior import OrderRange
 from pipeline.orders.region_cutting import cut_regions
 
+pytestmark = [pytest.mark.usefixtures("cpu"), pytest.mark.parametrize("name", CODES)]
+
 ROWS, COLUMNS = 14, 12
+TWO = [20] * 7 + [23] * 5
 
 
-@pytest.mark.usefixtures("cpu")
-def test_two_surfaces_are_cut_apart():
-    _, steps = shown(ROWS, COLUMNS, [30] * 7 + [33] * 5)
-    roots, main = cut_regions(steps, grid(ROWS, COLUMNS))
-    side = roots.reshape(ROWS, COLUMNS)
+def cut(reader, rows=ROWS, columns=COLUMNS, order_range=None):
+    reader.learn()
+    roots, main = cut_regions(reader, grid(rows, columns), order_range)
+    return roots.reshape(rows, columns), main
+
+
+@pytest.mark.parametrize("gamma", [1.0, 2.0])
+def test_two_surfaces_are_cut_apart(name, gamma):
+    side, main = cut(reader_of(name, ROWS, COLUMNS, TWO, gamma=gamma))
     assert len(np.unique(side[:, :7])) == len(np.unique(side[:, 7:])) == 1
     assert side[0, 0] != side[0, -1]
-    assert main[0] == side[0, 0]
+    assert main[0] == side[0, 0] and (main[1:] == -1).all()
 
 
-@pytest.mark.usefixtures("cpu")
-def test_one_surface_stays_whole():
-    _, steps = shown(ROWS, COLUMNS, [30] * COLUMNS)
-    roots, main = cut_regions(steps, grid(ROWS, COLUMNS))
+def test_one_surface_stays_whole(name):
+    roots, main = cut(reader_of(name, ROWS, COLUMNS, 20))
     assert not roots.any() and (main == -1).all()
 
 
-@pytest.mark.usefixtures("cpu")
 @pytest.mark.parametrize("of_depth", [False, True])
-def test_what_the_projector_does_not_show_is_not_looked_for(of_depth):
-    """A depth range, which may be wrong, leaves the cut alone."""
-    _, steps = shown(ROWS, COLUMNS, [30] * 7 + [33] * 5)
-    ends = np.full((2, ROWS * COLUMNS), [[25.0], [31.0]])
-    roots, _ = cut_regions(steps, grid(ROWS, COLUMNS), OrderRange(*ends, of_depth))
-    assert (roots[0] != roots[COLUMNS - 1]) == of_depth
+def test_what_the_projector_does_not_show_is_not_looked_for(name, of_depth):
+    """The picture holds the left surface's orders alone. A depth range, which may be wrong, leaves the cut alone."""
+    ends = np.full((2, ROWS * COLUMNS), 20.0)
+    roots, _ = cut(reader_of(name, ROWS, COLUMNS, TWO), order_range=OrderRange(*ends, of_depth))
+    assert (roots[0, 0] != roots[0, -1]) == of_depth
 
 
-@pytest.mark.usefixtures("cpu")
 @pytest.mark.parametrize("noise", [0.05, 0.15])
-def test_noise_cuts_nothing(noise):
-    """In the dark, single columns deviate from the code by noise alone."""
-    _, steps = shown(ROWS, 4 * COLUMNS, [30] * 4 * COLUMNS, noise=noise)
-    roots, _ = cut_regions(steps, grid(ROWS, 4 * COLUMNS))
+def test_noise_cuts_nothing(name, noise):
+    """In the dark, single blocks deviate from the code by noise alone."""
+    roots, _ = cut(reader_of(name, ROWS, 4 * COLUMNS, 20, noise=noise), columns=4 * COLUMNS)
     assert not roots.any()
 
 
-@pytest.mark.usefixtures("cpu")
-def test_surfaces_of_other_brightness_scatter_by_themselves():
-    """A noisy wall hides no surface before it that is seen well."""
-    lacks = [30] * 4 * COLUMNS + [35] * 2 * COLUMNS
-    _, dark = shown(ROWS, len(lacks), lacks, noise=0.06)
-    _, bright = shown(ROWS, len(lacks), lacks)
-    before = bright.column >= 4 * COLUMNS
-    rise, brightness = np.where(before, bright.rise, dark.rise), np.where(before, 100.0, 10.0)
-    roots, _ = cut_regions(replace(bright, rise=rise, brightness=brightness), grid(ROWS, len(lacks)))
-    surface = roots.reshape(ROWS, -1)[:, 4 * COLUMNS + 1 :]
-    assert len(np.unique(surface)) == 1 and surface[0, 0] != roots[0]
+def test_a_factor_of_its_own_cuts_nothing(name):
+    """Light from a wall close by lowers the contrast of a quarter of the surface by a tenth."""
+    block = np.arange(ROWS * 4 * COLUMNS * 2) % (4 * COLUMNS * 2)
+    reader = reader_of(name, ROWS, 4 * COLUMNS, 20, factor=np.where(block < 2 * COLUMNS, -0.1, 0.0))
+    assert not cut(reader, columns=4 * COLUMNS)[0].any()
 
 
-@pytest.mark.usefixtures("cpu")
-def test_few_steps_tell_nothing():
-    _, steps = shown(1, COLUMNS, [30] * COLUMNS)
-    roots, main = cut_regions(steps, grid(1, COLUMNS))
+def test_a_surface_that_is_seen_well_before_a_noisy_wall(name):
+    columns = 6 * COLUMNS
+    lacks = [20] * 4 * COLUMNS + [25] * 2 * COLUMNS
+    reader, dark = reader_of(name, ROWS, columns, lacks), reader_of(name, ROWS, columns, lacks, noise=0.06)
+    wall = reader.blocks.place[:, 1] < 8 * 4 * COLUMNS
+    reader.blocks.contrast[wall] = dark.blocks.contrast[wall]
+    reader.blocks.variance[wall] = dark.blocks.variance[wall]
+    roots, _ = cut(reader, columns=columns)
+    surface = roots[:, 4 * COLUMNS + 1 :]
+    assert len(np.unique(surface)) == 1 and surface[0, 0] != roots[0, 0]
+
+
+def test_few_blocks_tell_nothing(name):
+    """Nor do blocks of a region that is too small to be parted."""
+    roots, main = cut(reader_of(name, 1, 5, [20, 20, 20, 23, 23]), 1, 5)
     assert not roots.any() and (main == -1).all()

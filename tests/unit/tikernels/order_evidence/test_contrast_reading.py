@@ -8,7 +8,7 @@ from support.wrapped_surfaces import join
 import tikernels
 from tikernels import runtime
 from tikernels.order_evidence import measure_contrast
-from tikernels.order_evidence.contrast_reading import BACKGROUND, MODULATION, ORDER_SLOTS, TOTAL
+from tikernels.order_evidence.contrast_reading import BACKGROUND, BLOCK_WIDTH, BLOCKS, MODULATION, ORDER_SLOTS, TOTAL
 from tikernels.phase.color_balance import Gains
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.surfaces import Surfaces
@@ -32,11 +32,11 @@ def test_contrast_as_the_twin(arch, shape):
     labels, cells = runtime.to_host(patches.labels), runtime.to_host(patches.cell_table)
     seen = (image, crosstalk.inverse, nodes, gains.spacing_px, phase, modulation, labels)
     expected = reference.measure_contrast(*seen, ORDER_SLOTS)
-    assert sums.shape == (patches.count, ORDER_SLOTS, 4)
+    assert sums.shape == (patches.count, ORDER_SLOTS, BLOCKS, 4)
     for draft, own in expected.items():
         patch = numbers_of(np.array(draft), cells, patches.draft_bits)
         np.testing.assert_allclose(sums[patch], own, rtol=1e-4, atol=1e-2)
-    assert (sums[..., 0] > 0).any(axis=1).sum() == len([own for own in expected.values() if own[:, 0].max() > 0])
+    assert (sums[..., TOTAL] > 0).any(axis=(1, 2)).sum() == len(expected)
 
 
 @pytest.mark.parametrize("ambient", [0.0, 0.1])
@@ -58,6 +58,28 @@ def test_neutral_fringes_show_their_contrast(arch, ambient):
     cycles = sums[sums[..., TOTAL] > 0]
     assert len(cycles) > patches.count
     np.testing.assert_allclose(cycles[:, MODULATION] / cycles[:, BACKGROUND], 0.4, rtol=1e-5)
+
+
+def test_blocks_are_columns_side_by_side(arch):
+    """The modulation of every four columns is another one, and each block shows its own."""
+    shape = (48, 64)
+    phase = reference.wrapped(reference.ramp(*shape, 12.0))
+    block = np.arange(shape[1]) // BLOCK_WIDTH
+    modulation = np.broadcast_to(0.1 + 0.01 * block, shape).astype(np.float32)
+    gains = Gains(*shape, 12.0)
+    gains.gains.fill(1.0)
+    patches, _ = join(phase)
+    crosstalk = Crosstalk.of(np.eye(3))
+    sums = measure_contrast(np.ones((*shape, 3), np.float32), crosstalk, gains, phase, modulation, patches)
+    first = patches.graph().first % shape[1] // BLOCK_WIDTH
+    seen = sums[..., TOTAL] > 0
+    expected = 0.1 + 0.01 * (first[:, None, None] + np.arange(BLOCKS))
+    np.testing.assert_allclose(
+        (sums[..., MODULATION] / np.where(seen, sums[..., TOTAL], 1))[seen],
+        np.broadcast_to(expected, seen.shape)[seen],
+        rtol=1e-5,
+    )
+    assert seen.any(axis=1).all()
 
 
 def test_what_is_refused(arch):

@@ -1,4 +1,4 @@
-"""Labels of patches by the offsets that their steps name, against NumPy twins."""
+"""Labels of patches by the offsets that their blocks name, against NumPy twins."""
 
 import numpy as np
 
@@ -23,20 +23,22 @@ def grid():
 
 
 def test_deviations_as_the_twin(arch):
+    """Of a code that changes along the stripe, whose columns change with the order; outside it all deviate alike."""
     rng = np.random.default_rng(0)
-    codes = rng.normal(0, 0.1, (3, 20))
-    low, high, order = rng.integers(0, COUNT, 200), rng.integers(0, COUNT, 200), rng.integers(-4, 9, 200)
-    rise, sigma, offsets = rng.normal(0, 0.1, 200), rng.uniform(0.02, 0.1, 200), range(-8, 24)
-    strip = rng.integers(0, 3, 200)
-    evidence = weigh_offsets((low, high), order, rise, sigma, strip, codes, offsets, COUNT, 9.0)
+    code, offsets = rng.normal(0, 0.1, (20, 30)), range(-8, 24)
+    order, level, sigma = rng.integers(-4, 9, 120), rng.normal(0, 0.1, 120), rng.uniform(0.02, 0.1, 120)
+    columns = (rng.normal(0, 1, (120, 4)) * [3, 0.1, 1e-3, 1e-5]).astype(np.float32)
+    held = rng.integers(0, 120, 200), rng.integers(0, COUNT, 200), rng.uniform(0.1, 1, 200)
+    evidence = weigh_offsets(held, order, level, sigma, columns, code, offsets, COUNT, 9.0)
     expected = np.zeros((COUNT, len(offsets)))
     for k, offset in enumerate(offsets):
-        place = order + offset
-        inside = (place >= 0) & (place < 20)
-        deviation = np.where(inside, np.minimum(((rise - codes[strip, np.clip(place, 0, 19)]) / sigma) ** 2, 9.0), 9.0)
-        np.add.at(expected[:, k], low, 0.5 * deviation)
-        np.add.at(expected[:, k], high, 0.5 * deviation)
-    np.testing.assert_allclose(evidence, expected, rtol=1e-5, atol=1e-4)
+        cycle = order + offset
+        along = (columns * cycle[:, None] ** np.arange(4)).sum(axis=1)
+        shown = code[np.clip(cycle, 0, 19), np.floor(np.mod(along, 1) * 30).astype(int)]
+        deviation = np.minimum(((level - shown) / sigma) ** 2, 9.0)
+        deviation[(cycle < 0) | (cycle >= 20)] = 9.0
+        np.add.at(expected[:, k], held[1], held[2] * deviation[held[0]])
+    np.testing.assert_allclose(evidence, expected, rtol=1e-4, atol=1e-3)
 
 
 def test_what_is_pooled_as_the_twin(arch):
