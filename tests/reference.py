@@ -588,7 +588,12 @@ def measure_contrast(
     labels: Array,
     slots: int,
 ) -> dict[int, Array]:
-    """Return by draft of a patch the sums of weight, modulation, background, phase of its orders and blocks."""
+    """Return by draft of a patch the sums of its orders and blocks, as `measure_contrast` returns them."""
+
+    def cosine(turns: float) -> float:
+        half = 2 * abs(turns - round(turns))
+        return 1 - 2 * half**2 * (3 - 2 * half)
+
     sums: dict[int, Array] = {}
     cell_width, block_width, order_bits, order_zero = 8, 4, 6, 32
     for y, x in np.ndindex(labels.shape):
@@ -600,8 +605,10 @@ def measure_contrast(
         background = (inverse.astype(np.float64) @ (image[y, x] * gain)).mean()
         weight = (1 - (float(phase[y, x]) / np.pi) ** 2) ** 2
         slot = (labels[y, x] & (2**order_bits - 1)) - order_zero + slots // 2
-        own = sums.setdefault(int(labels[y, x] >> order_bits), np.zeros((slots, cell_width // block_width, 4)))
-        own[slot, (x - left) // block_width] += weight * np.array([1.0, modulation[y, x], background, phase[y, x]])
+        own = sums.setdefault(int(labels[y, x] >> order_bits), np.zeros((slots, cell_width // block_width, 6)))
+        turns = 1.5 / np.pi * float(phase[y, x])
+        seen = [1.0, modulation[y, x], background, phase[y, x], cosine(turns), cosine(turns - 0.25)]
+        own[slot, (x - left) // block_width] += weight * np.array(seen)
     return sums
 
 

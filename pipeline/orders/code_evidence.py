@@ -214,7 +214,7 @@ class CodeReader:
         middle, usual = place.mean(axis=0), float(np.median(brightness))
         shape = Factor.shape(place, brightness, middle, usual)
         remains, variance = contrast[:, None] - expected, blocks.variance[which]
-        counts = self._counts(blocks.order[which])
+        counts = self._counts(which)
         likelihood, terms = fit_levels(remains, inside, shape, variance, counts, self._gain)
         if no_code:
             # Or as if every block, or cycle, had a symbol of its own, which no offset of the code has there.
@@ -230,12 +230,14 @@ class CodeReader:
             likelihood[-1] = np.logaddexp(likelihood[-1], _mean_of(at_random.sum(axis=1)) - self._trust)
         return likelihood, Factor(middle, usual, terms)
 
-    def _counts(self, order: Integers) -> FloatArray:
+    def _counts(self, which: Integers) -> FloatArray:
         """Return as how many each of these blocks (n,) of a part counts."""
         if self.code.cell_px is not None:
-            return np.full(len(order), _INDEPENDENT)
-        _, cycle, held = np.unique(order, return_inverse=True, return_counts=True)
-        return np.minimum(_INDEPENDENT, _OF_CYCLE / held[cycle])
+            return np.full(len(which), _INDEPENDENT)
+        # Of a cycle's blocks those without noise count most.
+        precision = 1 / (self.blocks.variance[which] + _FITTED**2)
+        _, cycle = np.unique(self.blocks.order[which], return_inverse=True)
+        return np.minimum(_INDEPENDENT, _OF_CYCLE * precision / np.bincount(cycle, precision)[cycle])
 
     def read(self, which: Integers) -> PartEvidence:
         """Return what the blocks (n,) of a part say of its offsets."""

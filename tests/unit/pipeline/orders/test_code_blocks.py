@@ -5,7 +5,7 @@ import pytest
 from support.coded_blocks import WIDTH, grid
 
 from pipeline.orders.code_blocks import read_blocks
-from tikernels.order_evidence.contrast_reading import BACKGROUND, BLOCKS, MODULATION, ORDER_SLOTS, PHASE, TOTAL
+from tikernels.order_evidence.contrast_reading import BACKGROUND, BLOCKS, MODULATION, ORDER_SLOTS, PHASE, SUMS, TOTAL
 
 CONTRAST = np.array([0.8, 1.0, 0.7, 0.9, 0.75])
 # The weights of one row of a block's four columns, on average over a cycle.
@@ -15,7 +15,7 @@ ROW = 4 * 8 / 15
 def sums_of(contrast=CONTRAST, period_px=12.0):
     """Return what two columns of patches show of blurred cycles, each cut by the border between two patches."""
     period_px = np.broadcast_to(period_px, len(contrast))
-    sums = np.zeros((2 * (len(contrast) + 1), ORDER_SLOTS, BLOCKS, 4), np.float32)
+    sums = np.zeros((2 * (len(contrast) + 1), ORDER_SLOTS, BLOCKS, SUMS), np.float32)
     for k, (value, weight) in enumerate(zip(contrast * blur_leaves(period_px), ROW * period_px, strict=True)):
         for row, part, phase in ((k, 0.4, 1.2), (k + 1, 0.6, -0.8)):
             cycle = part * weight * np.array([1, 80 * value, 80, phase])
@@ -32,7 +32,7 @@ def read(sums, rising=True, noise=1.0):
     graph = grid(len(sums) // 2, 2)
     if not rising:
         graph, sums = graph._replace(offset=-graph.offset), sums[:, ::-1]
-    return read_blocks(sums, graph, WIDTH, rising, noise)
+    return read_blocks(sums, graph, WIDTH, noise)
 
 
 @pytest.mark.parametrize("rising", [True, False])
@@ -79,9 +79,13 @@ def test_variance_by_noise_is_that_of_so_many_pixels():
     assert (likeliest < one.variance).all() and (one.variance < 3 * likeliest).all()
 
 
-def test_torn_cycles_do_not_count():
+def test_cycles_of_which_little_is_seen_do_not_count():
+    """Two fifths of one do, and say how far off its middle they lie; a fifth does not."""
     sums = sums_of(np.array([0.8, 1.0, 0.7]))
     sums[2:4, ORDER_SLOTS // 2 - 1] = 0  # what the second row shows of the first cycle
+    blocks = read(sums)
+    np.testing.assert_allclose(blocks.off, np.where(blocks.order == 0, 1.2 / (2 * np.pi), 0), atol=1e-5)
+    sums[:2, ORDER_SLOTS // 2] *= 0.5
     assert set(read(sums).order) == {1, 2}
 
 
@@ -91,10 +95,10 @@ def test_short_cycles_do_not_count():
 
 def test_blocks_belong_to_the_patches_parts():
     graph = grid(6, 2)._replace(root=np.tile([0, 1], 6).astype(np.int32))
-    blocks = read_blocks(sums_of(), graph, WIDTH, True, 1.0)
+    blocks = read_blocks(sums_of(), graph, WIDTH, 1.0)
     np.testing.assert_array_equal(blocks.root, blocks.place[:, 1] // 8)
 
 
 def test_no_cycles_at_all():
-    blocks = read(np.zeros((12, ORDER_SLOTS, BLOCKS, 4), np.float32))
+    blocks = read(np.zeros((12, ORDER_SLOTS, BLOCKS, SUMS), np.float32))
     assert len(blocks.order) == len(blocks.patch) == 0 and blocks.place.shape == (0, 2)

@@ -251,5 +251,5 @@ def test_the_first_code_lies_nowhere():
 def test_a_frame_without_blocks(name):
     code, columns = code_and_columns(name)
     none, whole = np.zeros(0), np.zeros(0, np.int64)
-    reader = CodeReader(Blocks(whole, whole, np.zeros((0, 2)), none, none, none, whole, whole, none), code, columns)
+    reader = CodeReader(Blocks(whole, whole, np.zeros((0, 2)), *[none] * 4, whole, whole, none), code, columns)
     assert not reader.learn() and reader.shift_anywhere() is None

@@ -63,7 +63,7 @@ def seen(name, shares):
     linear, square = (np.interp(cycles, edges, row, period=1) for row in WITHIN)
     of_contrast = deviation * (linear + (2 + deviation) * square)
     bent = absolute - of_contrast * shares[0] - shares[1] * slope - shares[2] * passed
-    bent += np.random.default_rng(1).normal(0, 0.001, bent.shape)
+    bent += np.random.default_rng(1).normal(0, 0.0002, bent.shape)
     return np.angle(np.exp(1j * bent)).astype(np.float32), absolute.astype(np.float32)
 
 

@@ -8,7 +8,15 @@ from support.wrapped_surfaces import join
 import tikernels
 from tikernels import runtime
 from tikernels.order_evidence import measure_contrast
-from tikernels.order_evidence.contrast_reading import BACKGROUND, BLOCK_WIDTH, BLOCKS, MODULATION, ORDER_SLOTS, TOTAL
+from tikernels.order_evidence.contrast_reading import (
+    BACKGROUND,
+    BLOCK_WIDTH,
+    BLOCKS,
+    MODULATION,
+    ORDER_SLOTS,
+    SUMS,
+    TOTAL,
+)
 from tikernels.phase.color_balance import Gains
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.surfaces import Surfaces
@@ -32,7 +40,7 @@ def test_contrast_as_the_twin(arch, shape):
     labels, cells = runtime.to_host(patches.labels), runtime.to_host(patches.cell_table)
     seen = (image, crosstalk.inverse, nodes, gains.spacing_px, phase, modulation, labels)
     expected = reference.measure_contrast(*seen, ORDER_SLOTS)
-    assert sums.shape == (patches.count, ORDER_SLOTS, BLOCKS, 4)
+    assert sums.shape == (patches.count, ORDER_SLOTS, BLOCKS, SUMS)
     for draft, own in expected.items():
         patch = numbers_of(np.array(draft), cells, patches.draft_bits)
         np.testing.assert_allclose(sums[patch], own, rtol=1e-4, atol=1e-2)
