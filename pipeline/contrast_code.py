@@ -151,16 +151,15 @@ class ContrastCode:
         (gammas, CYCLES, places) float64
             Natural logarithm, at places evenly over `repeats_px`, half a place from its start on.
         """
-        half = round(0.5 * (width_px / self.repeats_px * self._levels.shape[-1] - 1))
-        return _averaged(self, max(0, half))
+        return _averaged(self, max(1, round(width_px / self.repeats_px * self._levels.shape[-1])))
 
 
 @lru_cache(maxsize=4)
-def _averaged(code: ContrastCode, half: int) -> npt.NDArray[np.float64]:
-    """Return a code's levels, averaged over so many places to either side."""
+def _averaged(code: ContrastCode, width: int) -> npt.NDArray[np.float64]:
+    """Return a code's levels, averaged over so many places."""
     levels = code._levels
-    if half:
-        kernel = np.zeros(levels.shape[-1])
-        np.add.at(kernel, np.arange(-half, half + 1) % len(kernel), 1 / (2 * half + 1))
-        levels = np.fft.irfft(np.fft.rfft(levels) * np.fft.rfft(kernel), len(kernel))
+    if width > 1:
+        away = np.abs(np.fft.fftfreq(levels.shape[-1], 1 / levels.shape[-1]))
+        kernel = np.clip((width + 1) / 2 - away, 0, 1) / width  # as far to either side: half a place for an even one
+        levels = np.fft.irfft(np.fft.rfft(levels) * np.fft.rfft(kernel), levels.shape[-1])
     return np.asarray(np.log(levels[:, 0] / levels[:, 1]))

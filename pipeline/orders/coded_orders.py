@@ -82,10 +82,9 @@ def find_absolute_orders(
     reader = reader_of(graph)
     readable = reader.learn()
     shift_px = reader.shift_near() if readable else 0.0
-    if not readable or reader.is_far(shift_px):
-        elsewhere = reader.shift_anywhere()
-        missing = None if readable is None and elsewhere is None else False
-        return _unread(graph, order_range if elsewhere is None else None, elsewhere, missing)
+    elsewhere = None if readable and not reader.is_far(shift_px) else reader.shift_anywhere()
+    if elsewhere is not None or readable is False or reader.is_far(shift_px):
+        return _unread(graph, order_range if elsewhere is None else None, elsewhere)
     reader.shift(shift_px)
     roots, main = cut_regions(reader, graph, order_range)
     if (main >= 0).any():
@@ -115,12 +114,10 @@ def find_absolute_orders(
             for within, posterior in zip(ranges, posteriors, strict=True)
         ]
     absolute = AbsoluteOrders(parts, tuple(posteriors))
-    return CodedOrders(roots, absolute, settled.shifts, settled.torn, readable=True, shift_px=shift_px)
+    return CodedOrders(roots, absolute, settled.shifts, settled.torn, readable, shift_px=shift_px)
 
 
-def _unread(
-    graph: PatchGraph, order_range: OrderRange | None, elsewhere_px: float | None, readable: bool | None
-) -> CodedOrders:
+def _unread(graph: PatchGraph, order_range: OrderRange | None, elsewhere_px: float | None) -> CodedOrders:
     """Return what is known of regions whose code cannot be read: what the range leaves possible."""
     pixels = np.bincount(graph.root, graph.pixels, len(graph.root))
     parts = np.flatnonzero(pixels >= MIN_REGION_PX)
@@ -128,7 +125,7 @@ def _unread(
     if order_range is not None:
         posteriors = tuple(within.alone() for within in order_range.by_part(graph.root, parts, graph.pixels))
     settled, absolute = SettledBorders.none(graph.root), AbsoluteOrders(parts, posteriors)
-    return CodedOrders(graph.root, absolute, settled.shifts, settled.torn, readable, shift_px=elsewhere_px)
+    return CodedOrders(graph.root, absolute, settled.shifts, settled.torn, readable=False, shift_px=elsewhere_px)
 
 
 def _placed(
