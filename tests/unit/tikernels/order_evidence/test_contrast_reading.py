@@ -8,7 +8,18 @@ from support.wrapped_surfaces import join
 import tikernels
 from tikernels import runtime
 from tikernels.order_evidence import measure_contrast
-from tikernels.order_evidence.contrast_reading import BACKGROUND, BLOCK_WIDTH, BLOCKS, MODULATION, ORDER_SLOTS, TOTAL
+from tikernels.order_evidence.contrast_reading import (
+    BACKGROUND,
+    BLOCK_WIDTH,
+    BLOCKS,
+    COSINE,
+    MODULATION,
+    ORDER_SLOTS,
+    PHASE,
+    SINE,
+    SUMS,
+    TOTAL,
+)
 from tikernels.phase.color_balance import Gains
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.surfaces import Surfaces
@@ -32,7 +43,7 @@ def test_contrast_as_the_twin(arch, shape):
     labels, cells = runtime.to_host(patches.labels), runtime.to_host(patches.cell_table)
     seen = (image, crosstalk.inverse, nodes, gains.spacing_px, phase, modulation, labels)
     expected = reference.measure_contrast(*seen, ORDER_SLOTS)
-    assert sums.shape == (patches.count, ORDER_SLOTS, BLOCKS, 4)
+    assert sums.shape == (patches.count, ORDER_SLOTS, BLOCKS, SUMS)
     for draft, own in expected.items():
         patch = numbers_of(np.array(draft), cells, patches.draft_bits)
         np.testing.assert_allclose(sums[patch], own, rtol=1e-4, atol=1e-2)
@@ -80,6 +91,21 @@ def test_blocks_are_columns_side_by_side(arch):
         rtol=1e-5,
     )
     assert seen.any(axis=1).all()
+
+
+def test_waves_are_those_of_three_times_the_phase(arch):
+    """To two hundredths, pixel by pixel: of a phase that is the same all over."""
+    shape = (16, 16)
+    crosstalk, gains = Crosstalk.of(np.eye(3)), Gains(*shape, 12.0)
+    gains.gains.fill(1.0)
+    image, modulation = np.ones((*shape, 3), np.float32), np.ones(shape, np.float32)
+    patches, _ = join(np.zeros(shape, np.float32))
+    for phase in np.linspace(-np.pi, np.pi, 30)[1:-1]:
+        sums = measure_contrast(image, crosstalk, gains, np.full(shape, phase, np.float32), modulation, patches)
+        seen = sums[sums[..., TOTAL] > 0]
+        assert len(seen)
+        expected = np.array([[phase, np.cos(3 * phase), np.sin(3 * phase)]])
+        np.testing.assert_allclose(seen[:, [PHASE, COSINE, SINE]] / seen[:, [TOTAL]], expected + 0 * seen[:, [TOTAL]], atol=0.0205)
 
 
 def test_what_is_refused(arch):
