@@ -306,6 +306,7 @@ class CodeReader:
         more = sum(_log_sum(part.likelihood) - np.log(len(part.likelihood)) - part.no_code for part in read)
         self._gain = float(np.median([part.factor.terms[0, part.likelihood.argmax()] for part in read]))
         self._trust = min(max(more, 0.0), _MOST_TRUST)
+        self._evidence.clear()  # read before this was known
         return None if abs(more) <= _SHOWN else bool(more > 0)
 
     def _largest(self) -> list[Integers]:

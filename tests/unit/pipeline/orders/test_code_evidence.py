@@ -90,6 +90,15 @@ def test_the_response_is_learnt(name, gamma):
 
 
 @each_code
+def test_what_was_learnt_counts_for_the_largest_parts_too(name):
+    reader = reader_of(name, *ENOUGH[name], 20, factor=-0.2)
+    which = all_of(reader)
+    assert reader.learn()
+    after, (expected, _) = reader.read(which), reader.fit(which, reader.offsets(which), no_code=True)
+    np.testing.assert_array_equal(np.append(after.likelihood, after.no_code), expected)
+
+
+@each_code
 def test_a_frame_without_the_code(name):
     """Plain contrasts with noise, and contrasts of every block's own."""
     for noise in (0.0, 0.01, 0.1):
