@@ -316,6 +316,7 @@ class Decoder:
             mask=mask,
             n_measured=int(np.count_nonzero(mask)),
             surfaces=None if isinstance(looked, NoModelFits) else looked,
+            stripe_shift_px=placement.shift_px,
             at_rest=self.settings.field_times is None or motion is not None,
             orders=orders,
             constant_known=path.constant_known,

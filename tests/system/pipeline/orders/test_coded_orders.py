@@ -14,6 +14,7 @@ from support.piled_objects import plates_before_a_wall
 from pipeline import Decoder, DecodeSettings, DecodeWarning
 from pipeline.contrast_code import ContrastCode
 from pipeline.errors import SettingsError
+from pipeline.output.report import frame_report
 from pipeline.pattern import CHANNEL_PHASES
 from pipeline.simulation import SKIN, TYPICAL_CROSSTALK, WHITE, SimulationSettings, simulate_frame, simulated_rig
 from tikernels.scene.scene_shapes import SHAPES
@@ -153,7 +154,7 @@ def test_a_sequence_that_is_not_the_codes(wrong, code, calibrated):
     with pytest.warns(DecodeWarning, match="contrast code|of the code|along the stripe"):
         frame = Decoder(settings, calibration if calibrated else None, arch="cpu").decode(image)
     assert not frame.absolute.any()
-    assert frame.order_error_probability[frame.mask].min() > 0.01
+    assert frame.order_error_probability[frame.mask].min() > 0.002  # twice what is believed
 
 
 SHOWN = r'shows a contrast code, which is used: set code = "none" \(--code none\) to decode it as plain'
@@ -375,6 +376,8 @@ def test_a_pattern_that_lies_elsewhere_than_the_calibration_says(scene, stripes)
             assert cause.key == "rig moved" and not frame.absolute.any()
             said_px = float(re.search(r"lies ([0-9.]+) projector px along", cause)[1])
             assert said_px == pytest.approx(abs(along_px), abs=0.5)
+        found_px = frame_report(frame, settings, calibration, "a.png")["stripe_shift_px"]
+        assert found_px == pytest.approx(-along_px, abs=0.5)
 
 
 def test_the_second_code_needs_a_geometry_that_states_it():

@@ -113,6 +113,7 @@ def test_a_report_is_json_whatever_was_decoded(truth):
     frame = Decoder(calibration=rig, arch="cpu").decode(truth.image)
     report = frame_report(frame, DecodeSettings(), rig, "a.png")
     assert report["image_px"] == [128, 96] and report["arch"] == "cpu" and report["range_unit"] == "mm"
+    assert report["stripe_shift_px"] is None
     low, middle, high = report["range_percentiles_1_50_99"]
     assert low < middle < high and sum(report["regions_px"]) == frame.mask.sum()
     json.dumps(report, allow_nan=False)
