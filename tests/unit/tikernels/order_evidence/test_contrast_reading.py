@@ -105,7 +105,9 @@ def test_waves_are_those_of_three_times_the_phase(arch):
         seen = sums[sums[..., TOTAL] > 0]
         assert len(seen)
         expected = np.array([[phase, np.cos(3 * phase), np.sin(3 * phase)]])
-        np.testing.assert_allclose(seen[:, [PHASE, COSINE, SINE]] / seen[:, [TOTAL]], expected + 0 * seen[:, [TOTAL]], atol=0.0205)
+        np.testing.assert_allclose(
+            seen[:, [PHASE, COSINE, SINE]] / seen[:, [TOTAL]], expected + 0 * seen[:, [TOTAL]], atol=0.0205
+        )
 
 
 def test_what_is_refused(arch):
