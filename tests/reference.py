@@ -578,6 +578,12 @@ def gain_at(gains: Array, spacing_px: int, y: float, x: float) -> Array:
     return (1 - v) * upper + v * ((1 - u) * gains[i1, j] + u * gains[i1, j1])
 
 
+def smooth_cosine(turns: float) -> float:
+    """Return about the cosine of a fraction of a turn: a smooth step from each crest to the trough."""
+    half = abs(turns - np.round(turns)) * 2
+    return 1 - 2 * (3 * half**2 - 2 * half**3)
+
+
 def measure_contrast(
     image: Array,
     inverse: Array,
@@ -588,12 +594,10 @@ def measure_contrast(
     labels: Array,
     slots: int,
 ) -> dict[int, Array]:
-    """Return by draft of a patch the sums of its orders and blocks, as `measure_contrast` returns them."""
+    """Return by draft of a patch what is summed of its orders and blocks.
 
-    def cosine(turns: float) -> float:
-        half = 2 * abs(turns - round(turns))
-        return 1 - 2 * half**2 * (3 - 2 * half)
-
+    That is weight, modulation, background, phase, and cosine and sine of three times the phase, which are smooth steps.
+    """
     sums: dict[int, Array] = {}
     cell_width, block_width, order_bits, order_zero = 8, 4, 6, 32
     for y, x in np.ndindex(labels.shape):
@@ -606,9 +610,10 @@ def measure_contrast(
         weight = (1 - (float(phase[y, x]) / np.pi) ** 2) ** 2
         slot = (labels[y, x] & (2**order_bits - 1)) - order_zero + slots // 2
         own = sums.setdefault(int(labels[y, x] >> order_bits), np.zeros((slots, cell_width // block_width, 6)))
-        turns = 1.5 / np.pi * float(phase[y, x])
-        seen = [1.0, modulation[y, x], background, phase[y, x], cosine(turns), cosine(turns - 0.25)]
-        own[slot, (x - left) // block_width] += weight * np.array(seen)
+        turns = 3 * float(phase[y, x]) / (2 * np.pi)
+        waves = [smooth_cosine(turns), smooth_cosine(turns - 0.25)]
+        seen = np.array([1.0, modulation[y, x], background, phase[y, x], *waves])
+        own[slot, (x - left) // block_width] += weight * seen
     return sums
 
 

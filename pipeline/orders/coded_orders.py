@@ -60,7 +60,7 @@ def find_absolute_orders(
 
     Parameters
     ----------
-    sums : (P, ORDER_SLOTS, BLOCKS, 4) float32
+    sums : (P, ORDER_SLOTS, BLOCKS, SUMS) float32
         What `measure_contrast` summed.
     graph : PatchGraph
         The patches, joined to regions.

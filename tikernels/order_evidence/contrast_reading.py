@@ -56,7 +56,7 @@ def cycle_weight(phase: f32) -> f32:
 
 @ti.func
 def cosine(turns: f32) -> f32:
-    """Cosine of a whole turn's fraction, to a hundredth: a smooth step from crest to trough."""
+    """Cosine of a whole turn's fraction, to two hundredths: a smooth step from crest to trough."""
     half = 2.0 * ti.abs(turns - ti.round(turns))
     return 1.0 - 2.0 * half * half * (3.0 - 2.0 * half)
 

@@ -112,9 +112,9 @@ def shown(code, gamma, along_px):
 
 @each_code
 @pytest.mark.parametrize("gamma", [1.0, 2.0])
-@pytest.mark.parametrize("width_px", [0.0, 5.0, 9.5])
+@pytest.mark.parametrize("width_px", [0.0, 5.5, 9.5])
 def test_levels_are_what_a_cycle_of_the_light_shows(code, gamma, width_px):
-    """Under a response, at a place or averaged over a block of some px about it."""
+    """Under a response, at a place or averaged over a block of some px about it, an odd number of tabled places."""
     levels = code.levels(width_px)[GAMMAS.index(gamma), 1:-1]
     for place in range(0, levels.shape[1], 35):
         middle = (place + 0.5) / levels.shape[1] * code.repeats_px

@@ -5,22 +5,38 @@ import pytest
 from support.coded_blocks import WIDTH, grid
 
 from pipeline.orders.code_blocks import read_blocks
-from tikernels.order_evidence.contrast_reading import BACKGROUND, BLOCKS, MODULATION, ORDER_SLOTS, PHASE, SUMS, TOTAL
+from tikernels.order_evidence.contrast_reading import BACKGROUND, BLOCKS, MODULATION, ORDER_SLOTS, SUMS
 
 CONTRAST = np.array([0.8, 1.0, 0.7, 0.9, 0.75])
-# The weights of one row of a block's four columns, on average over a cycle.
-ROW = 4 * 8 / 15
+# Phase at which the border between two patches cuts each cycle, rad.
+CUT = -0.6
 
 
-def sums_of(contrast=CONTRAST, period_px=12.0):
-    """Return what two columns of patches show of blurred cycles, each cut by the border between two patches."""
+def weight_below(phase):
+    """Return which share of a cycle's weights lies below a phase."""
+    u = np.asarray(phase) / np.pi
+    return (u - 2 * u**3 / 3 + u**5 / 5 + 8 / 15) / (16 / 15)
+
+
+def sums_of(contrast=CONTRAST, period_px=12.0, *, seen=(-np.pi, np.pi), ripple=(0.0, 0.0), cut=CUT):
+    """Return what two columns of patches show of blurred cycles, each cut by the border between two patches.
+
+    Of every cycle phases in this range are seen. The logarithm of its contrast has so much of cosine and sine of three
+    times the phase.
+    """
     period_px = np.broadcast_to(period_px, len(contrast))
-    sums = np.zeros((2 * (len(contrast) + 1), ORDER_SLOTS, BLOCKS, SUMS), np.float32)
-    for k, (value, weight) in enumerate(zip(contrast * blur_leaves(period_px), ROW * period_px, strict=True)):
-        for row, part, phase in ((k, 0.4, 1.2), (k + 1, 0.6, -0.8)):
-            cycle = part * weight * np.array([1, 80 * value, 80, phase])
-            sums[2 * row : 2 * row + 2, k - row + ORDER_SLOTS // 2][..., [TOTAL, MODULATION, BACKGROUND, PHASE]] = cycle
-    return sums
+    sums = np.zeros((len(contrast) + 1, 2, ORDER_SLOTS, BLOCKS, SUMS), np.float32)
+    for k, (value, period) in enumerate(zip(contrast * blur_leaves(period_px), period_px, strict=True)):
+        for row, low, high in ((k, seen[0], min(cut, seen[1])), (k + 1, max(cut, seen[0]), seen[1])):
+            if low >= high:
+                continue
+            phase = low + (high - low) * (np.arange(2000) + 0.5) / 2000
+            pixels = 4 * period * (high - low) / (2 * np.pi) / 2000 * (1 - (phase / np.pi) ** 2) ** 2
+            waves = np.stack([np.cos(3 * phase), np.sin(3 * phase)])
+            modulation = 80 * value * np.exp(np.array(ripple) @ waves)
+            one = np.ones(len(phase))
+            sums[row, :, k - row + ORDER_SLOTS // 2] = np.stack([one, modulation, 80 * one, phase, *waves]) @ pixels
+    return sums.reshape(-1, *sums.shape[2:])
 
 
 def blur_leaves(period_px):
@@ -28,29 +44,70 @@ def blur_leaves(period_px):
     return np.exp(-2 * np.pi**2 / 3 / period_px**2)
 
 
-def read(sums, rising=True, noise=1.0):
-    graph = grid(len(sums) // 2, 2)
-    if not rising:
-        graph, sums = graph._replace(offset=-graph.offset), sums[:, ::-1]
-    return read_blocks(sums, graph, WIDTH, noise)
+def read(sums, noise=1.0, columns=2):
+    return read_blocks(sums, grid(len(sums) // columns, columns), WIDTH, noise)
 
 
-@pytest.mark.parametrize("rising", [True, False])
-def test_cut_cycles_are_put_together(rising):
-    blocks = read(sums_of(), rising)
-    order = blocks.order if rising else -blocks.order
+def test_cycles_that_borders_cut_are_put_together():
+    blocks = read(sums_of())
+    order = blocks.order
     assert sorted(order) == sorted(2 * BLOCKS * list(range(5)))
     np.testing.assert_allclose(blocks.contrast, np.log(CONTRAST)[order], atol=1e-5)
     brightness = 80 * (1 + CONTRAST * blur_leaves(12.0))
     np.testing.assert_allclose(blocks.brightness, brightness[order], rtol=1e-5)
+    np.testing.assert_allclose(blocks.off, 0, atol=1e-5)
     assert not blocks.root.any()
     row, column = blocks.place.T
-    np.testing.assert_allclose(row, 16 * (order + 0.6 + 0.5) - 0.5, atol=1e-3)
+    first = float(weight_below(CUT))
+    np.testing.assert_allclose(row, 16 * (order + 1 - first + 0.5) - 0.5, atol=1e-3)
     assert set(column) == {1.5, 5.5, 9.5, 13.5}
     # Which patches hold how much of each.
     patch_row, patch_column = np.divmod(blocks.patch, 2)
-    np.testing.assert_allclose(blocks.share, np.where(patch_row == order[blocks.block], 0.4, 0.6), atol=1e-5)
+    expected = np.where(patch_row == order[blocks.block], first, 1 - first)
+    np.testing.assert_allclose(blocks.share, expected, atol=1e-5)
     np.testing.assert_array_equal(patch_column, column[blocks.block] // 8)
+
+
+@pytest.mark.parametrize(("low", "high"), [(-np.pi, 0.3), (-np.pi, -0.3), (-0.3, np.pi), (0.1, np.pi)])
+def test_cycles_of_which_a_part_is_seen(low, high):
+    """In one column of blocks: blur is undone as for the whole cycle, and how far off its middle they are is told."""
+    sums = sums_of()
+    sums[1::2, :, 0] = sums_of(seen=(low, high))[1::2, :, 0]
+    blocks = read(sums)
+    cut = blocks.place[:, 1] == 9.5
+    assert sorted(blocks.order[cut]) == list(range(5))
+    np.testing.assert_allclose(blocks.contrast, np.log(CONTRAST)[blocks.order], atol=1e-5)
+    phase = np.linspace(low, high, 2001)
+    weight = (1 - (phase / np.pi) ** 2) ** 2
+    np.testing.assert_allclose(blocks.off[cut], weight @ phase / weight.sum() / (2 * np.pi), atol=1e-4)
+    np.testing.assert_allclose(blocks.off[~cut], 0, atol=1e-5)
+
+
+def test_too_little_of_a_cycle_does_not_count():
+    """A third of it."""
+    sums = sums_of()
+    sums[1::2, :, 0] = sums_of(seen=(-np.pi, CUT))[1::2, :, 0]
+    blocks = read(sums)
+    assert set(blocks.place[:, 1]) == {1.5, 5.5, 13.5} and len(blocks.order) == 3 * 5
+
+
+@pytest.mark.parametrize("ripple", [(0.1, 0.0), (0.0, -0.1), (-0.07, 0.08)])
+def test_ripple_within_cycles_is_taken_off(ripple):
+    """Patches' borders cut cycles anywhere, and of those in every second column of patches a part is seen."""
+    cuts = np.linspace(-2, 2, 10)
+    sums, part = (
+        np.concatenate([sums_of(ripple=ripple, cut=cut, seen=seen)[None].reshape(6, 2, -1) for cut in cuts], axis=1)
+        for seen in ((-np.pi, np.pi), (-np.pi, 0.3))
+    )
+    sums[:, 1::2] = part[:, 1::2]
+    # What the part is off by itself.
+    of_part = part.reshape(-1, SUMS).sum(axis=0)
+    by_itself = np.log(of_part[MODULATION] / of_part[BACKGROUND]) - np.log(np.mean(CONTRAST * blur_leaves(12.0)))
+    blocks = read(sums.reshape(-1, ORDER_SLOTS, BLOCKS, SUMS), columns=2 * len(cuts))
+    assert len(blocks.order) == 5 * 2 * len(cuts) * BLOCKS
+    # The mean of a ripple's exponential is a little above 1.
+    expected = np.log(CONTRAST)[blocks.order] + np.square(ripple).sum() / 4
+    assert np.abs(blocks.contrast - expected).max() < 0.002 < 0.2 * abs(by_itself)
 
 
 def test_blur_is_undone_where_the_fringe_gets_finer():
@@ -79,14 +136,13 @@ def test_variance_by_noise_is_that_of_so_many_pixels():
     assert (likeliest < one.variance).all() and (one.variance < 3 * likeliest).all()
 
 
-def test_cycles_of_which_little_is_seen_do_not_count():
-    """Two fifths of one do, and say how far off its middle they lie; a fifth does not."""
-    sums = sums_of(np.array([0.8, 1.0, 0.7]))
-    sums[2:4, ORDER_SLOTS // 2 - 1] = 0  # what the second row shows of the first cycle
-    blocks = read(sums)
-    np.testing.assert_allclose(blocks.off, np.where(blocks.order == 0, 1.2 / (2 * np.pi), 0), atol=1e-5)
-    sums[:2, ORDER_SLOTS // 2] *= 0.5
-    assert set(read(sums).order) == {1, 2}
+def test_torn_cycles_count_where_most_is_left():
+    """Of the first cycle the second row shows two thirds, and the first row a third."""
+    contrast = np.array([0.8, 1.0, 0.7])
+    for row, slot, expected in ((1, -1, {1, 2}), (0, 0, {0, 1, 2})):
+        sums = sums_of(contrast)
+        sums[2 * row : 2 * row + 2, ORDER_SLOTS // 2 + slot] = 0
+        assert set(read(sums).order) == expected
 
 
 def test_short_cycles_do_not_count():

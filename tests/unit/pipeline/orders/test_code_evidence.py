@@ -10,6 +10,7 @@ from pipeline.contrast_code import GAMMAS
 from pipeline.orders.code_blocks import Blocks
 from pipeline.orders.code_evidence import SPREADS, CodeReader, Factor, densities, fit_levels
 from pipeline.orders.posterior import NOTHING_KNOWN
+from pipeline.orders.stripe_columns import column_at
 
 # Patches, cycles by columns of two blocks, that name their place, and that do not.
 ENOUGH, FEW = {"contrast": (7, 6), "contrast2": (2, 4)}, {"contrast": (4, 6), "contrast2": (1, 3)}
@@ -207,6 +208,31 @@ def test_densities_are_densities():
     assert found.shape == (len(SPREADS), 2, len(departs))
     np.testing.assert_allclose(found.sum(axis=2) * (departs[1] - departs[0]), np.sqrt(2 * np.pi), rtol=1e-3)
     assert (np.diff(found[:, :, len(departs) // 2], axis=0) < 0).all()
+
+
+@each_code
+@pytest.mark.parametrize(("low", "high"), [(-np.pi, 0.0), (-np.pi, -0.3), (-0.3, np.pi)])
+def test_cut_cycles_show_more_of_one_neighbour(name, low, high):
+    """By how much more: averaged over what is seen of each cycle, under a linear response, to about a third."""
+    reader = reader_of(name, 40, 8, 2)
+    which, order = all_of(reader), reader.blocks.order + 2
+
+    def mean_over(low, high):
+        phase = np.linspace(low, high, 401)
+        weight = (1 - (phase / np.pi) ** 2) ** 2
+        along = column_at(reader.columns, order)[:, None]
+        seen = reader.code.modulation(order[:, None] + phase / (2 * np.pi), along) @ weight / weight.sum()
+        return np.log(seen / (1 - seen)), weight @ phase / weight.sum() / (2 * np.pi)
+
+    def expected():
+        return reader.expected(which, order[:, None], gammas=np.full(1, GAMMAS.index(1.0)))[0][:, 0]
+
+    part, off = mean_over(low, high)
+    before = expected()
+    reader.blocks.off[:] = off
+    more, true = expected() - before, part - mean_over(-np.pi, np.pi)[0]
+    assert np.std(true) > 0.009
+    assert np.sqrt(np.mean((more - true) ** 2)) < 0.35 * np.std(true)
 
 
 @each_code

@@ -11,6 +11,8 @@ from tikernels.order_evidence.modulation_correction import NODE_PX, TABLED
 
 each_code = pytest.mark.parametrize("name", CODES)
 PERIOD = 12.0
+# As wide as it takes with the few columns that are looked at.
+SHAPE = 432, 512
 # Shares, rad and rad: what response, blur and balance usually do, as standard deviations.
 USUAL = (0.3, 0.03, 0.3)
 # What goes with the contrast, and with its square, over a cycle.
@@ -50,7 +52,7 @@ def test_the_window_sees_all_cells_of_a_cycle():
 def seen(name, shares):
     """Return the raw phase of a plane that the code bends, its absolute phase, and the table of the code's ripples."""
     code, columns = code_and_columns(name)
-    y, x = np.indices((432, 64))
+    y, x = np.indices(SHAPE)
     absolute = 2 * np.pi * (4 + (y + 0.1 * x) / PERIOD)
     cycles = absolute / (2 * np.pi)
     place = np.zeros(cycles.shape, int)
@@ -102,6 +104,6 @@ def test_where_the_ripples_lie(name):
     ripples = measured(name, *seen(name, (1.0, 0.0, 0.0)))
     np.testing.assert_array_equal(ripples.within, WITHIN)
     if name == "contrast":
-        assert ripples.columns.shape[:2] == (432 // NODE_PX + 2, 64 // NODE_PX + 2) and not ripples.columns.any()
+        assert ripples.columns.shape[:2] == tuple(n // NODE_PX + 2 for n in SHAPE) and not ripples.columns.any()
     else:
         np.testing.assert_allclose(ripples.columns * code.repeats_px, columns.nodes, rtol=1e-5)

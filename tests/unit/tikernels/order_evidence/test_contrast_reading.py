@@ -12,8 +12,11 @@ from tikernels.order_evidence.contrast_reading import (
     BACKGROUND,
     BLOCK_WIDTH,
     BLOCKS,
+    COSINE,
     MODULATION,
     ORDER_SLOTS,
+    PHASE,
+    SINE,
     SUMS,
     TOTAL,
 )
@@ -88,6 +91,23 @@ def test_blocks_are_columns_side_by_side(arch):
         rtol=1e-5,
     )
     assert seen.any(axis=1).all()
+
+
+def test_waves_are_those_of_three_times_the_phase(arch):
+    """To two hundredths, pixel by pixel: of a phase that is the same all over."""
+    shape = (16, 16)
+    crosstalk, gains = Crosstalk.of(np.eye(3)), Gains(*shape, 12.0)
+    gains.gains.fill(1.0)
+    image, modulation = np.ones((*shape, 3), np.float32), np.ones(shape, np.float32)
+    patches, _ = join(np.zeros(shape, np.float32))
+    for phase in np.linspace(-np.pi, np.pi, 30)[1:-1]:
+        sums = measure_contrast(image, crosstalk, gains, np.full(shape, phase, np.float32), modulation, patches)
+        seen = sums[sums[..., TOTAL] > 0]
+        assert len(seen)
+        expected = np.array([[phase, np.cos(3 * phase), np.sin(3 * phase)]])
+        np.testing.assert_allclose(
+            seen[:, [PHASE, COSINE, SINE]] / seen[:, [TOTAL]], expected + 0 * seen[:, [TOTAL]], atol=0.0205
+        )
 
 
 def test_what_is_refused(arch):
