@@ -57,7 +57,7 @@ def _rows(plan: RigPlan) -> list[tuple[str, str, str]]:
     """Return what is printed: the name, the figure with its unit, and what it means or what to do with it."""
     choice, fields, fringe = plan.choice, plan.fields, plan.fringe
     near, far = fringe.lit_range_mm
-    windows = " or ".join("{}x{}".format(*map(_number, window)) for window in plan.windows_mm)
+    window = "{}x{}".format(*map(_number, plan.window_mm))
     size = "{}x{}".format(*choice.projector_px)
     return [
         ("camera sees", _area(fields.camera_mm), f"{_number(fields.mm_per_px)} mm per pixel"),
@@ -92,7 +92,7 @@ def _rows(plan: RigPlan) -> list[tuple[str, str, str]]:
             "absolute depth",
             f"{near:.0f} mm to " + ("infinity" if far == inf else f"{far:.0f} mm"),
             f"by the code, where both lenses are sharp; a surface must span {_number(plan.code_mm)} mm across the "
-            f"stripes; with contrast2 {windows} mm (across x along)",
+            f"stripes; with contrast2 {window} mm (across x along)",
         ),
         (
             "phase sigma",

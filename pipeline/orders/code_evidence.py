@@ -158,7 +158,9 @@ class CodeReader:
         """
         inside = (orders >= 0) & (orders < self.cycles)
         orders, response = np.clip(orders, 0, self.cycles - 1), self._gamma if gammas is None else gammas
-        places = self.code.place_at(column_at(self.columns[which], orders) + shifts_px)
+        along = column_at(self.columns[which], orders) + shifts_px
+        inside &= np.isfinite(along)  # some rays meet the pattern nowhere
+        places = self.code.place_at(np.nan_to_num(along))
         expected = self.levels[response, orders, places]
         # Of a cycle of which one side is seen, the neighbour on that side shows more.
         off = self.blocks.off[which]

@@ -106,7 +106,7 @@ def measure_ripples(
         # The raw phase, in the smoothed one's cycle.
         seen.append(smooth + np.remainder(raw[here] - smooth + np.pi, 2 * np.pi) - np.pi)
         cycles = smooth / (2 * np.pi)
-        place = code.place_at(column_at(terms, cycles))
+        place = code.place_at(np.nan_to_num(column_at(terms, cycles)))
         ripples = table[np.clip(np.rint(cycles * TABLED), 0, len(table) - 1).astype(int), place].T
         linear, square = (np.interp(cycles, edges, row, period=1) for row in within)
         shapes.append(np.stack([ripples[0] * (linear + (2 + ripples[0]) * square), *ripples[1:]]))

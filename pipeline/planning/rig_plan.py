@@ -84,9 +84,9 @@ _LEAST_PROJECTOR_PX = 8.0
 # than the other it leaves as much of the response as half of the usual noise (`_NOISELESS_RAD`).
 _LEAST_CYCLES, _ENOUGH_CYCLES = 4.0, 28.0
 # A surface of so many cycles of its own is placed by "contrast" under an ordinary projector; by "contrast2" one of so
-# many cycles and cells (`docs/coded_pattern.md`).
+# many cycles and cells (`docs/coded_pattern.md`: all of a hundred were).
 _CODE_CYCLES = 9
-_CODE_WINDOWS = ((2, 8), (4, 4))
+_CODE_WINDOW = (5, 8)
 # Orders are carried from frame to frame while the phase changes by less (`docs/accuracy.md`), cycles.
 _CARRIED = 1 / 3
 # Of baseline and distance. Beyond the one a step hides half of its height or more; below the other a cycle is 14 times
@@ -250,12 +250,13 @@ class RigPlan:
         return _CODE_CYCLES * self.fringe.pitch_mm
 
     @property
-    def windows_mm(self) -> tuple[tuple[float, float], ...]:
-        """The least surfaces to be placed by "contrast2" alone: across and along the stripes, mm."""
+    def window_mm(self) -> tuple[float, float]:
+        """The least surface to be placed by "contrast2" alone: across and along the stripes, mm."""
         geometry = self.choice.calibration(self.period_px, "contrast2").geometry()
         cell_mm = geometry.camera_px_along(self.choice.distance_mm) * self.fields.mm_per_px
         cell_mm *= geometry.pattern.cell_px or nan
-        return tuple((cycles * self.fringe.pitch_mm, cells * cell_mm) for cycles, cells in _CODE_WINDOWS)
+        cycles, cells = _CODE_WINDOW
+        return cycles * self.fringe.pitch_mm, cells * cell_mm
 
     @property
     def passed_mm(self) -> float:

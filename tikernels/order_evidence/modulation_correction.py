@@ -53,7 +53,8 @@ def ripples_at(table: F32Array3, cycles: f32, along: f32) -> vec3:
     last = table.shape[0] - 1
     place = ti.min(ti.max(cycles * TABLED, 0.0), ti.cast(last, ti.f32))
     below = ti.min(ti.cast(place, ti.i32), last - 1)
-    column = ti.min(ti.cast((along - ti.floor(along)) * table.shape[1], ti.i32), table.shape[1] - 1)
+    # Not a number where a ray meets the pattern nowhere.
+    column = ti.max(ti.min(ti.cast((along - ti.floor(along)) * table.shape[1], ti.i32), table.shape[1] - 1), 0)
     ripples = vec3(0.0)
     for k in ti.static(range(3)):
         low, high = table[below, column, k], table[below + 1, column, k]

@@ -59,7 +59,8 @@ def weigh_offsets_kernel(
                 if cycle >= 0 and cycle < code.shape[0]:
                     along = columns[n, 2] + cycle * columns[n, 3]
                     along = columns[n, 0] + cycle * (columns[n, 1] + cycle * along)
-                    place = ti.min(ti.cast((along - ti.floor(along)) * code.shape[1], ti.i32), code.shape[1] - 1)
+                    place = ti.cast((along - ti.floor(along)) * code.shape[1], ti.i32)
+                    place = ti.max(ti.min(place, code.shape[1] - 1), 0)  # not a number where nothing is met
                     departs = (level[n] - code[cycle, place]) / sigma[n]
                     cost[k] = ti.min(departs * departs, most)
             add_alone(out_evidence[patch[m], group], share[m] * cost)

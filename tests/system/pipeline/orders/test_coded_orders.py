@@ -14,6 +14,7 @@ from support.piled_objects import plates_before_a_wall
 from pipeline import Decoder, DecodeSettings, DecodeWarning
 from pipeline.contrast_code import ContrastCode
 from pipeline.errors import SettingsError
+from pipeline.orders.stripe_columns import StripeColumns
 from pipeline.output.report import frame_report
 from pipeline.pattern import CHANNEL_PHASES
 from pipeline.simulation import SKIN, TYPICAL_CROSSTALK, WHITE, SimulationSettings, simulate_frame, simulated_rig
@@ -390,3 +391,17 @@ def test_the_second_code_needs_a_geometry_that_states_it():
     with pytest.raises(SettingsError, match="read by a geometry"):
         Decoder(DecodeSettings(), light, arch="cpu")
     assert Decoder(DecodeSettings(code="none"), light, arch="cpu").code is None
+
+
+def test_rays_that_meet_the_pattern_nowhere():
+    """A camera that sees far more than the projector lights: at an eighth of the nodes no order has a column."""
+    rig = simulated_rig(SIZE, code="contrast2")
+    wide = rig.camera.matrix * np.array([[0.4, 1, 1], [1, 0.4, 1], [1, 1, 1]])
+    pattern = rig.pattern.model_copy(update={"period_px": 40.0, "cell_px": 20.0})
+    rig = rig.model_copy(update={"camera": rig.camera.model_copy(update={"matrix": wide}), "pattern": pattern})
+    rays = rig.geometry().camera.rays().astype(np.float32)
+    assert 0.05 < np.isnan(StripeColumns(rig.geometry(), rays).nodes).any(axis=-1).mean() < 0.5
+    truth = simulate_frame(rig, SimulationSettings(scene="plane"))
+    known = rig.model_copy(update={"crosstalk_matrix": SimulationSettings().crosstalk_matrix})
+    right, wrong = shares(Decoder(DecodeSettings(), known, arch="cpu").decode(truth.image), truth)
+    assert right > 0.95 and wrong == 0
