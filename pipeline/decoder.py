@@ -287,7 +287,7 @@ class Decoder:
         rows = replace(surface, unwrapped=work.unwrapped)
         regions = patches.write(work.phase, rates, rows.unwrapped, rows.mask, rows.region)
         orders = placement.region_orders(patches, regions, memory)
-        corrected, lost = self._orders.refine(seen, work.raw_phase, regions, orders, out=rows)
+        corrected, lost = self._orders.refine(seen, work.raw_phase, regions, orders, placement.shift_px, out=rows)
         if corrected:
             work.smoother.along(work.raw_phase, phases.precision, rates, out=work.fitted_phase)
             follow_phase(rows.region, work.fitted_phase, out=(work.phase, rows.unwrapped))

@@ -218,7 +218,8 @@ class OrderFinder:
             if found.readable is False:
                 warning = _CODE_TOO_WEAK if seen.contrast < CODE_CONTRAST else _CODE_NOT_SEEN
                 if found.shift_px is not None:
-                    warning = _moved(found.shift_px)
+                    # What was absolute before the rig moved is so no more.
+                    warning, memory = _moved(found.shift_px), None
         if memory is not None:
             change = memory.orders.change
             votes = vote_orders(seen.phase, patches, memory.surface.unwrapped, memory.surface.region, change)
@@ -247,7 +248,13 @@ class OrderFinder:
         return Placement(roots, orders, carried, found is not None, left_out, warning, shift_px)
 
     def refine(
-        self, seen: SeenPhase, raw: F32, regions: RegionTable, orders: RegionOrders, out: SurfaceBuffers
+        self,
+        seen: SeenPhase,
+        raw: F32,
+        regions: RegionTable,
+        orders: RegionOrders,
+        shift_px: float | None,
+        out: SurfaceBuffers,
     ) -> tuple[bool, Cause | None]:
         """With a code, correct the phases by the modulation that their places have.
 
@@ -259,6 +266,8 @@ class OrderFinder:
             rad, the phase before it was smoothed, which is corrected.
         regions, orders
             Its regions, written to `out`, and what is known of them.
+        shift_px : float, optional
+            By how many projector px the code lies off along the stripe.
         out : SurfaceBuffers
             The frame's.
 
@@ -281,7 +290,7 @@ class OrderFinder:
                 within=modulation_tables(seen.correction),
                 period_px=seen.period_px,
                 code=self.code,
-                columns=self._columns,
+                columns=None if self._columns is None else self._columns.shifted(shift_px or 0.0),
             )
             correct_by_modulation(out.region, out.unwrapped, known, ripples, out=raw)
             corrected = True

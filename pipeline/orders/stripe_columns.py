@@ -5,6 +5,7 @@ order, whose coefficients change slowly over the picture.
 """
 
 import warnings
+from copy import copy
 
 import cv2
 import numpy as np
@@ -59,6 +60,12 @@ class StripeColumns:
             self.block_px = float(np.nanmedian(np.abs(np.diff(middles, axis=1))) * BLOCK_WIDTH / NODE_PX)
         #: (rows, columns, 4) float32: terms of a polynomial of the order, at nodes.
         self.nodes = np.where(counts.sum(axis=-1)[..., None] > _DEGREE, fitted * scale, np.nan).astype(np.float32)
+
+    def shifted(self, shift_px: float) -> "StripeColumns":
+        """Return the columns if the picture lies so many px further along the stripe."""
+        moved = copy(self)
+        moved.nodes = self.nodes + np.array([shift_px, 0, 0, 0], np.float32)
+        return moved
 
     def terms(self, place: FloatArray) -> npt.NDArray[np.float32]:
         """Return the polynomials' terms (N, 4) at places (N, 2) (row, column; px); NaN where no order has a column."""

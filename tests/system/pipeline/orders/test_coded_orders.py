@@ -381,6 +381,16 @@ def test_a_pattern_that_lies_elsewhere_than_the_calibration_says(scene, stripes)
         assert found_px == pytest.approx(-along_px, abs=0.5)
 
 
+def test_what_was_absolute_is_no_more_after_the_rig_has_moved():
+    truth, calibration = simulated("waves", "contrast2", size=FULL)
+    decoder = Decoder(DecodeSettings(), calibration, arch="cpu")
+    before = decoder.decode(truth.image)
+    image = simulate_frame(moved(truth.rig, 16), SimulationSettings(scene="waves")).image
+    with pytest.warns(DecodeWarning, match="have moved since"):
+        after = decoder.decode(image, previous=before)
+    assert before.absolute.any() and not after.absolute.any()
+
+
 def test_the_second_code_needs_a_geometry_that_states_it():
     _, calibration = simulated("plane", "contrast2")
     light = calibration.model_copy(update=dict.fromkeys(("camera", "projector", "rotation", "translation_mm")))
