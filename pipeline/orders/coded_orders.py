@@ -30,7 +30,7 @@ from tikernels.unwrapping.patches import MIN_REGION_PX, PatchGraph
 
 # How probably a piece that the labels have cut off, which hangs together with its region, has that one's orders before
 # its own blocks are asked; and from which probability on it is no piece of its own.
-_SAME_SURFACE, _REJOINS = 0.9, 0.93
+_SAME_SURFACE = 0.9
 
 
 @dataclass(frozen=True)
@@ -182,6 +182,6 @@ def _rejoined(
     back = np.zeros(len(roots), np.bool_)
     for part, posterior in offset.items():
         region = offset.get(int(origin[part]))
-        if region is not None and (read[part].best == region.best or posterior.error(region.best) <= 1 - _REJOINS):
+        if region is not None and (read[part].best == region.best or posterior.error(region.best) <= 1 - _SAME_SURFACE):
             back |= roots == part
     return np.where(back, origin, roots).astype(np.int32)
