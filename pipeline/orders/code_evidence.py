@@ -45,9 +45,9 @@ _LEARNT = 3
 # less likely not to; and how much that may count for other parts: where the rig has been turned a part of the picture
 # may lie elsewhere.
 _SHOWN, _MOST_TRUST = 5.0, 12.0
-# A factor changes from surface to surface of a part: what is left of it is taken from so many blocks and rows of
-# patches around each, and at most so much of each. So it is where larger parts than this are not decided by that much.
-_AROUND, _MOST_LOCAL, _FLATTENED, _DECIDED = (17, 5), 0.2, 100, 30.0
+# A factor changes from surface to surface of a part: of parts of more blocks than this, what is left of it in so many
+# blocks and rows of patches around each is taken off, at most so much of each block.
+_FLATTENED, _AROUND, _MOST_LOCAL = 100, (5, 3), 0.2
 # Levels that stand for all of a code's.
 _LEVELS = 8
 # From so many cycles off its middle on a cycle is cut, and what its neighbours' levels then count, a cycle: half of
@@ -253,15 +253,15 @@ class CodeReader:
         if len(offsets) == 0:
             return PartEvidence(0, np.zeros(0), 0.0, Factor(np.zeros(2), 0.0, np.zeros((4, 0))))
         likelihood, factor = self.fit(which, offsets, no_code=True)
-        if len(which) > _FLATTENED and np.partition(likelihood, -2)[-2] > likelihood.max() - _DECIDED:
-            flat = self.flattened(which, int(offsets[likelihood[:-1].argmax()]))
+        if len(which) > _FLATTENED:
+            flat = self.flattened(which, int(offsets[likelihood[:-1].argmax()]), _AROUND)
             likelihood, factor = self.fit(which, offsets, contrast=flat, no_code=True)
         return PartEvidence(int(offsets[0]), likelihood[:-1], float(likelihood[-1]), factor)
 
-    def flattened(self, which: Integers, offset: int) -> FloatArray:
+    def flattened(self, which: Integers, offset: int, around: tuple[int, int]) -> FloatArray:
         """Return the contrasts (n,) of a part's blocks as if its factor were the same all over.
 
-        What the blocks around each of them are off the code at this offset is taken off, too.
+        What so many blocks and rows of patches around each are off the code at this offset is taken off, too.
         """
         blocks = self.blocks
         _, factor = self.fit(which, np.array([offset]))
@@ -273,7 +273,7 @@ class CodeReader:
         row, column = row - row.min(), column - column.min()
         shape = int(row.max()) + 1, int(column.max()) + 1
         sums = [np.bincount(row * shape[1] + column, weights, np.prod(shape)) for weights in (departs, None)]
-        total, count = (cv2.blur(plane.reshape(shape).astype(np.float32), _AROUND, borderType=0) for plane in sums)
+        total, count = (cv2.blur(plane.reshape(shape).astype(np.float32), around, borderType=0) for plane in sums)
         return np.asarray(flat - (total / np.maximum(count, 1e-6))[row, column])
 
     def offsets(self, which: Integers) -> Integers:

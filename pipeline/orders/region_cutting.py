@@ -21,6 +21,9 @@ from tikernels.order_evidence.offset_labelling import (
 )
 from tikernels.unwrapping.patches import PatchGraph
 
+# Blocks and rows of patches over which what is left of the factor is averaged: what is as large as these may be another
+# surface.
+_AROUND = (17, 5)
 # Smallest standard deviation of a block's contrast: what its surface's factor may be off by. Blocks side by side
 # deviate alike: each counts as this many.
 _MIN_SIGMA, _COUNTS = 0.03, 0.5
@@ -101,7 +104,7 @@ class _Region:
     ) -> None:
         blocks = reader.blocks
         self.best, self._patches = reader.read(own).best, patches
-        level = reader.flattened(own, self.best)
+        level = reader.flattened(own, self.best, _AROUND)
         departs = level - reader.expected(own, blocks.order[own] + self.best)[0]
         usual = np.median(departs)
         sigma = np.sqrt(blocks.variance[own] + max(_MIN_SIGMA, robust_sigma(departs - usual)) ** 2)
