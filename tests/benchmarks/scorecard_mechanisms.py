@@ -213,7 +213,7 @@ def flat_shapes(original: Original) -> Any:
 
 def unflattened(original: Original) -> Any:
     """Leave the contrasts of a part's blocks as they were seen."""
-    return lambda self, which, offset: self.blocks.contrast[which]
+    return lambda self, which, offset, around: self.blocks.contrast[which]
 
 
 def no_ripples(original: Original) -> Any:
