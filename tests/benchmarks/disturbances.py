@@ -204,7 +204,8 @@ def taken(scene: str, seed: int, rows: list[str]) -> Iterator[tuple[str, Taken]]
     still = SCENES[scene](rigs[None], seed, 0.0)
     middle = still[len(still) // 2]
     undisturbed = light_seen(still, light[None])
-    lit = (middle.strength > 0) & (0.9 * undisturbed / np.quantile(undisturbed, 0.995) > 20 / 255).all(axis=2)
+    bright = 0.9 * undisturbed.mean(axis=2) > 20 / 255 * np.quantile(undisturbed, 0.995)
+    lit = (middle.strength > 0) & bright
     phase = 2 * np.pi / rigs[None].pattern.period_px * middle.projector_px[..., 1].astype(np.float64)
     for row in rows:
         disturbance, images = ROWS[row], {}
