@@ -193,7 +193,7 @@ class Taken:
     """A frame under each pattern, and what is true of it."""
 
     images: dict[str | None, Image]
-    phase: dict[str | None, Floats]  # rad
+    phase: Floats  # (H, W) rad
     lit: npt.NDArray[np.bool_]  # what is judged
     number: npt.NDArray[np.int64]  # of the surface
 
