@@ -12,8 +12,7 @@ from collections import defaultdict
 
 import _tests_path  # noqa: F401 - puts support on the path
 import numpy as np
-from support import piled_objects
-from support.piled_objects import SIZE, Surface
+from support.piled_objects import SIZE, Surface, photographed, ray_through, wall
 
 from pipeline import Decoder, DecodeSettings
 from pipeline.errors import DecodeWarning
@@ -40,7 +39,7 @@ KINDS = {
 def scene(kind: str, rng: np.random.Generator, rig: object) -> list[Surface]:
     """Return a wall and five surfaces of a kind, none behind another."""
     (low, high), (narrow, wide) = KINDS[kind]
-    surfaces = [piled_objects._wall(rng, painted=False)]
+    surfaces = [wall(rng)]
     columns = rng.permutation(5)
     for k in range(5):
         half_height = rng.uniform(low, high) * _CYCLE_PX / 2
@@ -49,7 +48,7 @@ def scene(kind: str, rng: np.random.Generator, rig: object) -> list[Surface]:
         if half_width > 60:  # one above the other
             x, y = SIZE[0] / 2 + rng.uniform(-80, 80), 70 + 85 * columns[k]
         normal = np.array([rng.uniform(-0.3, 0.3), rng.uniform(-0.3, 0.3), 1.0])
-        ray, depth = piled_objects._ray(rig, x, y), rng.uniform(800, 910)
+        ray, depth = ray_through(rig, x, y), rng.uniform(800, 910)
         ellipse = bool(rng.random() < 0.3) and half_width < 60 and narrow > 3
         surfaces.append(Surface(SKIN, normal, float(depth * ray @ normal), (ellipse, x, y, half_width, half_height)))
     return surfaces
@@ -79,7 +78,7 @@ def figures(kind: str, code: str, gamma: float, frames: int) -> str:
     decoder, counts = Decoder(DecodeSettings(), calibration), defaultdict(float)
     for seed in range(frames):
         rng = np.random.default_rng(seed)
-        truth, which = piled_objects._photographed(rng, rig, scene(kind, rng, rig), gamma)
+        truth, which = photographed(rng, rig, scene(kind, rng, rig), gamma)
         frame = decoder.decode(truth.image)
         lit = truth.mask & (truth.image.mean(axis=2) > 20)
         known = frame.absolute & lit

@@ -18,8 +18,10 @@ Floats = npt.NDArray[np.float64]
 
 SIZE = (640, 480)
 PAINTS = (SKIN, WHITE, (0.6, 0.25, 0.1), (0.7, 0.6, 0.15), (0.15, 0.45, 0.2), (0.15, 0.25, 0.6))
-# Rays a pixel along either side; blur of projector and camera, px; ambient light; noise, levels.
-_SAMPLES, _BLUR, _AMBIENT, _NOISE = 3, (0.6, 0.5), 0.05, 1.5
+#: Where a pixel's rays go through it, px (x, y) from its middle.
+PLACES = [(x, y) for y in (-1 / 3, 0.0, 1 / 3) for x in (-1 / 3, 0.0, 1 / 3)]
+# Blur of projector and camera, px; ambient light; noise, levels.
+_BLUR, _AMBIENT, _NOISE = (0.6, 0.5), 0.05, 1.5
 _FALLOFF_MM = 918.0
 
 
@@ -33,6 +35,17 @@ class Surface:
     outline: tuple[bool, float, float, float, float] | None = None  # ellipse or box; its middle, half width and height
     middle: Floats | None = None
     radius_mm: float = 0.0
+
+
+@dataclass(frozen=True)
+class Rays:
+    """What one ray of every pixel meets."""
+
+    points: Floats  # (H, W, 3) mm, camera frame
+    projector_px: npt.NDArray[np.float32]  # (H, W, 2) column and row
+    strength: Floats  # (H, W) share of the projector's light that arrives; 0: none
+    reflectance: Floats  # (H, W, 3)
+    number: npt.NDArray[np.int64]  # (H, W) of the surface; 0: the wall
 
 
 def piled_objects(
@@ -66,11 +79,23 @@ def piled_objects(
     """
     rng = np.random.default_rng(seed)
     rig = simulated_rig(SIZE, code=code)
-    surfaces = [_wall(rng, painted)]
+    return photographed(rng, rig, pile(rng, rig, objects, cycles, painted, touching), gamma)
+
+
+def pile(
+    rng: np.random.Generator,
+    rig: Calibration,
+    objects: int,
+    cycles: tuple[float, float],
+    painted: bool = False,
+    touching: bool = False,
+) -> list[Surface]:
+    """Return the surfaces of `piled_objects`, the wall first."""
+    surfaces = [wall(rng, painted)]
     for _ in range(objects):
         color = PAINTS[rng.integers(len(PAINTS))] if painted else SKIN
         surfaces.append(_object(rng, rig, surfaces[0], cycles, color, touching))
-    return _photographed(rng, rig, surfaces, gamma)
+    return surfaces
 
 
 def plates_before_a_wall(
@@ -79,16 +104,17 @@ def plates_before_a_wall(
     """Return a frame of twelve plates, 1.5 cycles before a wall (0), and which surface every pixel sees."""
     rng = np.random.default_rng(seed)
     rig = simulated_rig(SIZE, code=code)
-    surfaces = [_wall(rng, painted=False)]
+    surfaces = [wall(rng)]
     for x, y in np.stack(np.meshgrid(np.arange(4) + 0.5, np.arange(3) + 0.5), -1).reshape(-1, 2):
         x, y = np.array([x / 4, y / 3]) * SIZE + rng.uniform(-30, 30, 2)
-        normal, ray = np.array([rng.uniform(-0.3, 0.3), rng.uniform(-0.3, 0.3), 1.0]), _ray(rig, x, y)
+        normal, ray = np.array([rng.uniform(-0.3, 0.3), rng.uniform(-0.3, 0.3), 1.0]), ray_through(rig, x, y)
         distance_mm = float(_depth_before(rig, surfaces[0], ray, 1.5) * ray @ normal)
         surfaces.append(Surface(SKIN, normal, distance_mm, (False, x, y, size_px[0] / 2, size_px[1] / 2)))
-    return _photographed(rng, rig, surfaces, gamma)
+    return photographed(rng, rig, surfaces, gamma)
 
 
-def _wall(rng: np.random.Generator, painted: bool) -> Surface:
+def wall(rng: np.random.Generator, painted: bool = False) -> Surface:
+    """Return a wall behind everything."""
     normal = np.array([rng.uniform(-0.15, 0.15), rng.uniform(-0.15, 0.15), 1.0])
     return Surface(WHITE if painted else SKIN, normal, float(rng.uniform(930, 1000)))
 
@@ -96,7 +122,7 @@ def _wall(rng: np.random.Generator, painted: bool) -> Surface:
 def _object(
     rng: np.random.Generator,
     rig: Calibration,
-    wall: Surface,
+    behind: Surface,
     cycles: tuple[float, float],
     color: tuple[float, float, float],
     touching: bool,
@@ -106,26 +132,27 @@ def _object(
     x, y = rng.uniform(40, SIZE[0] - 40), rng.uniform(40, SIZE[1] - 40)
     outline = (bool(rng.random() < 0.5), x, y, half_width, half_height)
     normal = np.array([rng.uniform(-0.4, 0.4), rng.uniform(-0.4, 0.4), 1.0])
-    ray, depth = _ray(rig, x, y), rng.uniform(800, 910)
+    ray, depth = ray_through(rig, x, y), rng.uniform(800, 910)
     if touching:
         dx, dy = ((0, -half_height), (0, half_height), (-half_width, 0), (half_width, 0))[rng.integers(4)]
-        ray = _ray(rig, x + dx, y + dy)
-        depth = _depth_before(rig, wall, ray, rng.integers(1, 4))
+        ray = ray_through(rig, x + dx, y + dy)
+        depth = _depth_before(rig, behind, ray, rng.integers(1, 4))
     elif rng.random() < 0.5:
         radius = half_height / rig.camera.matrix[0, 0] * depth
         return Surface(color, middle=ray * depth + [0, 0, radius], radius_mm=radius)
     return Surface(color, normal, float(depth * ray @ normal), outline)
 
 
-def _depth_before(rig: Calibration, wall: Surface, ray: Floats, cycles: float) -> float:
-    """Return how far along a ray the pattern is so many cycles before that on the wall."""
-    geometry, behind = rig.geometry(), wall.distance_mm / float(ray @ wall.normal)
-    depths = np.linspace(behind - 180, behind, 600)
-    lead = np.abs(geometry.pattern_cycles(depths[:, None] * ray) - geometry.pattern_cycles((behind * ray)[None]))
+def _depth_before(rig: Calibration, behind: Surface, ray: Floats, cycles: float) -> float:
+    """Return how far along a ray the pattern is so many cycles before that on a plane."""
+    geometry, far = rig.geometry(), behind.distance_mm / float(ray @ behind.normal)
+    depths = np.linspace(far - 180, far, 600)
+    lead = np.abs(geometry.pattern_cycles(depths[:, None] * ray) - geometry.pattern_cycles((far * ray)[None]))
     return float(np.interp(cycles, lead[::-1], depths[::-1]))
 
 
-def _ray(rig: Calibration, x: float, y: float) -> Floats:
+def ray_through(rig: Calibration, x: float, y: float) -> Floats:
+    """Return the direction (x, y, 1) in which the camera sees at a pixel."""
     k = rig.camera.matrix
     return np.array([(x - k[0, 2]) / k[0, 0], (y - k[1, 2]) / k[1, 1], 1.0])
 
@@ -157,18 +184,13 @@ def _met(
     return nearest, number
 
 
-def _photographed(
-    rng: np.random.Generator, rig: Calibration, surfaces: list[Surface], gamma: float
-) -> tuple[SimulatedFrame, npt.NDArray[np.int64]]:
+def traced(rig: Calibration, surfaces: list[Surface]) -> list[Rays]:
+    """Return what the rays of every pixel meet, the middle one among them."""
     geometry = rig.geometry()
-    k, projector = geometry.camera.matrix, geometry.projector
-    light = cv2.GaussianBlur(cv2.pow(make_pattern(projector.size_px, geometry.pattern), gamma), (0, 0), _BLUR[0])
-    centre = -geometry.rotation.T @ geometry.translation_mm
+    k, centre = geometry.camera.matrix, -geometry.rotation.T @ geometry.translation_mm
     y, x = np.indices(SIZE[::-1])
-    total = np.zeros((*SIZE[::-1], 3))
-    colors = np.array([surface.color for surface in surfaces])
-    places = (np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5
-    for sub_y, sub_x in np.stack(np.meshgrid(places, places, indexing="ij"), -1).reshape(-1, 2):
+    colors, met = np.array([surface.color for surface in surfaces]), []
+    for sub_x, sub_y in PLACES:
         rays = np.stack([(x + sub_x - k[0, 2]) / k[0, 0], (y + sub_y - k[1, 2]) / k[1, 1], np.ones(x.shape)], -1)
         far, number = _met(rig, surfaces, np.zeros(3), rays)
         points = far[..., None] * rays
@@ -183,23 +205,43 @@ def _photographed(
                 normal = (surface.middle - points[inside]) / surface.radius_mm
             slope[inside] = (normal * towards[inside]).sum(axis=-1) / distance[inside]
         lit = (_met(rig, surfaces, centre, towards)[0] > 1 - 2e-3) & (slope > 0)
-        seen = points @ geometry.rotation.T + geometry.translation_mm
-        pixel = (seen[..., :2] / seen[..., 2:]) * projector.matrix[[0, 1], [0, 1]] + projector.matrix[:2, 2]
-        lit &= (pixel > -0.5).all(axis=-1) & (pixel < np.array(projector.size_px) - 0.5).all(axis=-1)
-        arrives = cv2.remap(light, pixel.astype(np.float32), None, cv2.INTER_LINEAR)
-        falls = np.where(lit, slope * (_FALLOFF_MM / distance) ** 2, 0)[..., None] * arrives
-        total += colors[number] * ((_AMBIENT + falls) @ np.array(TYPICAL_CROSSTALK).T)
-        if sub_y == sub_x == 0:
-            truth, which = (pixel[..., geometry.phase_axis], lit, points), number
-    image = cv2.GaussianBlur(total / _SAMPLES**2, (0, 0), _BLUR[1])
+        pixel = geometry.projector_px(points.reshape(-1, 3)).reshape(*x.shape, 2)
+        lit &= (pixel > -0.5).all(axis=-1) & (pixel < np.array(geometry.projector.size_px) - 0.5).all(axis=-1)
+        strength = np.where(lit, slope * (_FALLOFF_MM / distance) ** 2, 0)
+        met.append(Rays(points, pixel.astype(np.float32), strength, colors[number], number))
+    return met
+
+
+def light_seen(rays: list[Rays], light: npt.NDArray[np.floating]) -> Floats:
+    """Return the light (H, W, 3) that reaches the camera from what the projector shows, and from the room."""
+    total = 0.0
+    for ray in rays:
+        falls = ray.strength[..., None] * cv2.remap(light, ray.projector_px, None, cv2.INTER_LINEAR)
+        total = total + ray.reflectance * ((_AMBIENT + falls) @ np.array(TYPICAL_CROSSTALK).T)
+    return np.asarray(total / len(rays))
+
+
+def projected(rig: Calibration, gamma: float) -> npt.NDArray[np.float32]:
+    """Return the light of the rig's pattern, (Hp, Wp, 3)."""
+    codes = make_pattern(rig.geometry().projector.size_px, rig.pattern)
+    return cv2.GaussianBlur(cv2.pow(codes, gamma), (0, 0), _BLUR[0])
+
+
+def photographed(
+    rng: np.random.Generator, rig: Calibration, surfaces: list[Surface], gamma: float
+) -> tuple[SimulatedFrame, npt.NDArray[np.int64]]:
+    """Return a frame of these surfaces, and which of them every pixel sees."""
+    rays = traced(rig, surfaces)
+    image = cv2.GaussianBlur(light_seen(rays, projected(rig, gamma)), (0, 0), _BLUR[1])
     image = 0.9 * image / np.quantile(image, 0.995) + _NOISE / 255 * rng.standard_normal(image.shape)
+    middle, geometry = rays[len(rays) // 2], rig.geometry()
     frame = SimulatedFrame(
         rig=rig,
         image=np.rint(255 * np.clip(image, 0, 1)).astype(np.uint8),
         white_level=255,
-        phase=2 * np.pi / geometry.pattern.period_px * truth[0],
-        mask=truth[1],
-        points=truth[2].astype(np.float32),
-        reflectance=colors[which].astype(np.float32),
+        phase=2 * np.pi / geometry.pattern.period_px * middle.projector_px[..., geometry.phase_axis].astype(np.float64),
+        mask=middle.strength > 0,
+        points=middle.points.astype(np.float32),
+        reflectance=middle.reflectance.astype(np.float32),
     )
-    return frame, which
+    return frame, middle.number
