@@ -23,8 +23,9 @@ def test_an_ideal_fringe_has_the_true_phase(cpu):
     geometry, scene = photographer.geometry, draw_scene("plane", rig, 0)
     per_px = 2 * np.pi / geometry.pattern.period_px
     places = np.arange(geometry.projector.size_px[geometry.phase_axis])[:, None]
-    shifts = [0.5 + 0.5 * np.cos(per_px * places + 2 * np.pi * k / 3 + np.array(CHANNEL_PHASES)) for k in range(3)]
-    waves = sum(np.exp(-2j * np.pi * k / 3) * light for k, light in enumerate(photographer.lines(scene, shifts)))
+    phases = [per_px * places + 2 * np.pi * k / 3 + np.array(CHANNEL_PHASES) for k in range(3)]
+    shifts = [photographer.filled(0.5 + 0.5 * np.cos(phase)) for phase in phases]
+    waves = sum(np.exp(-2j * np.pi * k / 3) * light for k, light in enumerate(photographer.lights(scene, shifts)))
     truth = true_at_centers(geometry, scene.packed())
     inside = cv2.distanceTransform((truth.lit & (truth.body != NOTHING)).astype(np.uint8), cv2.DIST_L2, 5) > 4
     primaries = waves[inside] @ np.linalg.inv(rig.matrix(scene.paints[0])).T

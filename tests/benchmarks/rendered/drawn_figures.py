@@ -20,13 +20,14 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
-from drawn_frames import Taken, kept, sensed
+from drawn_frames import PATTERNS, Taken, kept, sensed
 from drawn_rigs import DrawnRig
 from drawn_scenes import SCENES
 from ray_caster import NOTHING
 
 from pipeline import Calibration, DecodedFrame, Decoder, DecodeSettings
 from pipeline.batch.job import with_transfer_of
+from pipeline.calibration.model import choose_pattern
 from pipeline.errors import DecodeWarning
 from pipeline.footage.opening import open_source
 from tikernels import runtime
@@ -44,9 +45,9 @@ def deeper(mask: Mask, px: float) -> Mask:
 
 def calibration_for(taken: Taken, pattern: str) -> Calibration:
     """Return the rig's, with what is known of the pattern."""
-    known = taken.measured
-    update = {"code": "contrast" if "coded" in pattern else None, "compensated": "compensated" in pattern}
-    return known.model_copy(update={"capture": None, "pattern": known.pattern.model_copy(update=update)})
+    code, compensated = PATTERNS[pattern]
+    known = choose_pattern(taken.measured, None, None, code).model_copy(update={"compensated": compensated})
+    return taken.measured.model_copy(update={"capture": None, "pattern": known})
 
 
 def decode(taken: Taken, pattern: str, noise: bool = True, known: bool = True) -> DecodedFrame:
@@ -56,7 +57,7 @@ def decode(taken: Taken, pattern: str, noise: bool = True, known: bool = True) -
     calibration: Calibration | None = calibration_for(taken, pattern) if known else None
     settings = DecodeSettings(
         stripes=rig.calibration.pattern.stripes,
-        **({} if known else {"code": "none" if pattern == "plain" else "contrast"}),
+        **({} if known else {"code": PATTERNS[pattern][0]}),
     )
     if noise and rig.delivery in ("jpeg", "mjpeg"):
         image, settings = _by_file(rig, levels, settings, calibration)
@@ -134,18 +135,19 @@ def judge(taken: Taken) -> dict[str, Any]:
         result["calibrated over nothing"] = float(
             np.sqrt((errors["noisy"][both] ** 2).mean() / (errors["nothing"][both] ** 2).mean())
         )
-    for pattern in ("coded", "compensated coded"):
-        result[pattern] = judge_orders(decode(taken, pattern), taken, lit)
+    for pattern in CODED:
+        result[pattern] = judge_orders(decode(taken, pattern), taken, inner_lit)
     result["CPU s"] = time.process_time() - begin
     return result
 
 
-def judge_orders(frame: DecodedFrame, taken: Taken, lit: Mask) -> dict[str, float]:
-    """Return what is absolute and right, wrong and not flagged, and how far depths are off."""
-    known = frame.mask & frame.absolute
+def judge_orders(frame: DecodedFrame, taken: Taken, inner_lit: Mask) -> dict[str, float]:
+    """Return what is absolute and right, wrong and not flagged, and how far phases and depths are off."""
+    lit, known = taken.lit, frame.mask & frame.absolute
     off = np.rint((np.nan_to_num(frame.unwrapped_phase) - taken.phase) / (2 * np.pi)) != 0
     wrong = known & off & (taken.truth.body != NOTHING)
     count, _, sizes, _ = cv2.connectedComponentsWithStats(wrong.astype(np.uint8))
+    phase = phase_error(frame, taken)[frame.mask & inner_lit]
     depth = (frame.points[..., 2] - taken.truth.depth_mm)[frame.mask & (taken.truth.body != NOTHING)]
     depth = np.abs(depth[np.isfinite(depth)])
     return {
@@ -153,6 +155,7 @@ def judge_orders(frame: DecodedFrame, taken: Taken, lit: Mask) -> dict[str, floa
         "right": float((known & ~off & lit).sum() / max(lit.sum(), 1)),
         "wrong": float(wrong.sum() / max(known.sum(), 1)),
         "wrong regions": int((sizes[1:, cv2.CC_STAT_AREA] >= 20).sum()) if count > 1 else 0,
+        "rms": float(np.sqrt((phase**2).mean())) if len(phase) else np.nan,
         "depth rms": float(np.sqrt((depth**2).mean())) if len(depth) else np.nan,
         "depth 99.9": float(np.quantile(depth, 0.999)) if len(depth) else np.nan,
     }
@@ -167,6 +170,7 @@ def measured(seed: int, names: list[str], frames: Path, figures: Path) -> Iterat
         yield name, json.loads(path.read_text())
 
 
+CODED = tuple(name for name, (code, _) in PATTERNS.items() if code != "none")
 OPAQUE = tuple(name for name in SCENES if name != "scattering face")
 _SATURATED = ("dark face", "objects", "parcel", "balls", "bars")
 _UNIFORM = ("hand", "objects", "balls", "bars")
@@ -181,12 +185,10 @@ def rows_of(found: dict[str, dict[str, Any]]) -> dict[str, float]:
 
     opaque = [found[name] for name in OPAQUE if name in found]
     pulls = surfaces(tuple(found), "pull")
-    coded = [scene[pattern] for scene in opaque for pattern in ("coded", "compensated coded")]
     result = {
         "covered: saturated, dark, dim surfaces": min(surfaces(_SATURATED, "covered")),
-        "absolute and right": min(row["right"] for row in coded),
-        "wrong and not flagged": max(row["wrong"] for row in coded),
-        "such regions per 1,000 frames": 1000 * float(np.mean([row["wrong regions"] for row in coded])),
+        **order_rows(opaque, "coded"),
+        **order_rows(opaque, "coded2"),
         "plane: RMS": max(surfaces(("plane",), "rms clean")),
         "plane: constant": max(surfaces(("plane",), "constant clean")),
         "uniform surfaces: RMS": max(surfaces(_UNIFORM, "rms clean")),
@@ -208,6 +210,16 @@ def rows_of(found: dict[str, dict[str, Any]]) -> dict[str, float]:
     return result
 
 
+def order_rows(scenes: list[dict[str, Any]], code: str) -> dict[str, float]:
+    """Return the worst figures of the orders that a code tells, its response undone or not."""
+    judged = [scene[pattern] for scene in scenes for pattern in (code, f"compensated {code}")]
+    return {
+        f"{code}: absolute and right": min(row["right"] for row in judged),
+        f"{code}: wrong and not flagged": max(row["wrong"] for row in judged),
+        f"{code}: such regions per 1,000 frames": 1000 * float(np.mean([row["wrong regions"] for row in judged])),
+    }
+
+
 def table(rigs: list[dict[str, float]]) -> str:
     """Return the median and the worst of each figure over the rigs, as Markdown."""
     lines = ["| worst scene of each rig | median rig | worst rig |", "|---|---|---|"]
@@ -215,7 +227,7 @@ def table(rigs: list[dict[str, float]]) -> str:
         values = [rig[name] for rig in rigs if np.isfinite(rig.get(name, np.nan))]
         if not values:  # of scenes that were not asked for
             continue
-        good_is_high = name.startswith(("covered", "absolute", "error over sigma: least")) or name.endswith("coverage")
+        good_is_high = name.startswith("covered") or name.endswith(("and right", "sigma: least", "coverage"))
         worst = min(values) if good_is_high else max(values)
         lines.append(f"| {name} | {np.median(values):.4g} | {worst:.4g} |")
     return "\n".join(lines)
@@ -227,13 +239,12 @@ def line(name: str, found: dict[str, Any]) -> str:
         key: max((abs(row[key]) for row in found["surfaces"].values() if key in row), default=np.nan)
         for key in ("rms clean", "constant clean", "rms noisy", "pull")
     }
-    coded, undone = found["coded"], found["compensated coded"]
+    right, wrong = (" ".join(f"{found[name][key]:.5f}" for name in CODED) for key in ("right", "wrong"))
     return (
         f"{name:16} covered {found['covered noisy']:.3f}, nothing known {found['covered nothing']:.3f}; "
         f"clean {worst['rms clean']:.4f} {worst['constant clean']:.4f}; noisy {worst['rms noisy']:.4f}, "
         f"over sigma {worst['pull']:.2f}; calibrated over nothing {found.get('calibrated over nothing', np.nan):.2f}; "
-        f"right {coded['right']:.3f} {undone['right']:.3f}, wrong {coded['wrong']:.5f} {undone['wrong']:.5f}; "
-        f"{coded['depth rms']:.2f} mm"
+        f"right {right}, wrong {wrong}; {found['coded']['depth rms']:.2f} mm"
     )
 
 

@@ -27,11 +27,23 @@ from ray_caster import (
 )
 
 from pipeline.calibration import Calibration
+from pipeline.calibration.model import choose_pattern
 from pipeline.calibration.radiometry import measure_radiometry, radiometry_codes, radiometry_sequence
-from pipeline.pattern import make_pattern
+from pipeline.models import CodeChoice
+from pipeline.pattern import CHANNEL_PHASES, make_pattern
 
-# Steps a projector pixel in the tables of light, dark pixels around the picture, and px of blur from level to level.
-_STEPS, _MARGIN, _LEVEL_PX, _LEVELS = 16, 12, 0.5, 12
+#: The patterns of `Photographer.codes`: their code, and whether the projector's response is undone in them.
+PATTERNS: dict[str, tuple[CodeChoice, bool]] = {
+    "plain": ("none", False),
+    "coded": ("contrast", False),
+    "compensated coded": ("contrast", True),
+    "coded2": ("contrast2", False),
+    "compensated coded2": ("contrast2", True),
+}
+# Steps a projector pixel in the pictures of light, dark pixels around them, and px of blur from level to level.
+_STEPS, _MARGIN, _LEVEL_PX = 2, 12, 0.5
+# Nothing that scatters is nearer to the projector than this part of the rig's distance.
+_NEAREST = 0.75
 # Px from place to place where the light of one bounce more is gathered, and from how many directions.
 _SPACING, _DIRECTIONS = 6, 400
 # The brightest half per cent under full white reaches this part of full scale, the pedestal apart.
@@ -48,63 +60,65 @@ class Photographer:
         self._rays = rays_of(self.geometry)
         self._offsets = pixel_rays(rig.camera_blur_px)
         self._projector = projector_numbers(self.geometry)
-        self._tables: dict[bytes, F64] = {}  # by line of codes: blurring takes as long as a scene
         self.calibration = self._calibrated()
 
     # --- light -----------------------------------------------------------------------------------------------------
 
-    def codes(self, pattern: str) -> F64:
-        """Return the line of codes, (N, 3) 0..1 in steps of 1/255: "plain", "coded", "compensated coded", "shift K"."""
-        known = self.geometry.pattern
-        response = self.calibration.response if "compensated" in pattern else None
-        if "coded" in pattern:
-            known = known.model_copy(update={"code": "contrast"})
-        axis = self.geometry.phase_axis
-        size = (4, self.geometry.projector.size_px[1]) if axis else (self.geometry.projector.size_px[0], 4)
+    def codes(self, pattern: str) -> F32:
+        """Return a picture of codes, (rows, columns, 3) 0..1 in steps of 1/255: one of PATTERNS, or "shift K"."""
+        size = self.geometry.projector.size_px
         if pattern.startswith("shift"):  # the plain pattern, moved by thirds of a cycle
-            phase = 2 * np.pi * (np.arange(size[axis]) / known.period_px + int(pattern[-1]) / 3)
-            line = 0.5 + 0.5 * np.cos(phase[:, None] + np.array([-2, 0, 2]) * np.pi / 3)
+            cycles = np.arange(size[self.geometry.phase_axis]) / self.geometry.pattern.period_px + int(pattern[-1]) / 3
+            picture = self.filled(0.5 + 0.5 * np.cos(2 * np.pi * cycles[:, None] + np.array(CHANNEL_PHASES)))
         else:
-            picture = make_pattern(size, known, response)
-            line = picture[:, 0] if axis else picture[0]
-        return np.rint(line.astype(np.float64) * 255) / 255
+            code, compensated = PATTERNS[pattern]
+            response = self.calibration.response if compensated else None
+            picture = make_pattern(size, choose_pattern(self.rig.calibration, None, None, code), response)
+        return np.rint(picture * 255) / 255
 
-    def _field(self, color: tuple[float, float, float]) -> F64:
-        return np.tile(np.array(color), (self.geometry.projector.size_px[self.geometry.phase_axis], 1))
+    def filled(self, line: npt.ArrayLike) -> F32:
+        """Return a picture of codes that are a colour, (3,), or a line of them along the phase, (N, 3)."""
+        line = np.asarray(line, np.float32)
+        rows = line[:, None] if line.ndim == 2 and self.geometry.phase_axis else line
+        return np.broadcast_to(rows, (*self.geometry.projector.size_px[::-1], 3))
 
-    def _table(self, codes: F64) -> F64:
-        """Return the light of each primary along the phase, (3, levels of blur, steps)."""
-        rig, line = self.rig, codes.tobytes()
-        if line in self._tables:
-            return self._tables[line]
-        light = rig.black + (1 - rig.black) * codes ** np.array(rig.gammas)
-        fine = np.repeat(np.pad(light, ((_MARGIN, _MARGIN), (0, 0))), _STEPS, axis=0)
-        blurs = np.hypot(rig.projector_blur_px, _LEVEL_PX * np.arange(_LEVELS))
-        tables = [cv2.GaussianBlur(fine, (1, 0), sigmaX=1e-3, sigmaY=blur * _STEPS) for blur in blurs]
-        self._tables[line] = np.ascontiguousarray(np.stack(tables).transpose(2, 0, 1))
-        return self._tables[line]
+    def _blurred(self, pictures: list[F32], levels: int) -> F32:
+        """Return the light of each primary, (levels of blur, rows, columns, 3 * pictures), in steps: 0.5 GB a level."""
+        rig, (width, height) = self.rig, self.geometry.projector.size_px
+        shape = (_STEPS * (height + 2 * _MARGIN), _STEPS * (width + 2 * _MARGIN))
+        found = np.empty((levels, *shape, 3 * len(pictures)), np.float32)
+        for number, codes in enumerate(pictures):
+            light = (rig.black + (1 - rig.black) * codes ** np.array(rig.gammas)).astype(np.float32)
+            padded = np.pad(light, ((_MARGIN, _MARGIN), (_MARGIN, _MARGIN), (0, 0)))
+            fine = padded.repeat(_STEPS, axis=0).repeat(_STEPS, axis=1)
+            for level in range(levels):
+                # Steps, and straight lines between them, blur by a twelfth of a step's square.
+                blur = np.sqrt(_STEPS**2 * (rig.projector_blur_px**2 + (_LEVEL_PX * level) ** 2) - 1 / 12)
+                found[level, ..., 3 * number : 3 * number + 3] = cv2.GaussianBlur(fine, (0, 0), blur)
+        return found
 
-    def lines(self, scene: Scene, lines: list[F64]) -> F32:
-        """Return the linear light (K, H, W, 3) of frames under these lines of codes."""
+    def lights(self, scene: Scene, pictures: list[F32]) -> F32:
+        """Return the linear light (K, H, W, 3) of frames under these pictures of codes."""
         rig, packed = self.rig, scene.packed()
         width, height = self.geometry.camera.size_px
-        film = np.zeros((len(lines), height, width, 3), np.float32)
-        light = np.concatenate([self._table(line) for line in lines])
+        film = np.zeros((len(pictures), height, width, 3), np.float32)
         spread = np.zeros((len(scene.paints), 3))
         for paint, mm in scene.scatter_mm.items():
             spread[paint] = mm
+        most_px = spread.max() * self.geometry.projector.matrix[0, 0] / (_NEAREST * rig.distance_mm)
+        light = self._blurred(pictures, 1 + int(np.ceil(most_px / _LEVEL_PX)))
         photograph(
             self._rays, self._offsets, np.array(rig.camera_magnified), packed.kinds, packed.numbers, packed.reliefs,
             packed.maps, self._projector, np.array(rig.projector_magnified), light,
             np.array([_STEPS, _MARGIN, _LEVEL_PX]),
             np.stack([rig.matrix(paint) for paint in scene.paints]), rig.matrix(1.0),
-            np.stack([rig.ambient_on(paint) for paint in scene.paints]), spread, self.geometry.phase_axis, film,
+            np.stack([rig.ambient_on(paint) for paint in scene.paints]), spread, film,
         )  # fmt: skip
         if scene.bounces:
-            film += self._bounced(scene, packed, light, len(lines))
+            film += self._bounced(scene, packed, light, len(pictures))
         return film
 
-    def _bounced(self, scene: Scene, packed: Bodies, light: F64, patterns: int) -> F32:
+    def _bounced(self, scene: Scene, packed: Bodies, light: F32, patterns: int) -> F32:
         """Return the light (K, H, W, 3) of one bounce more, interpolated on each body by itself."""
         width, height = self.geometry.camera.size_px
         grid = np.zeros((patterns, -(-height // _SPACING) + 1, -(-width // _SPACING) + 1, 3), np.float32)
@@ -112,7 +126,7 @@ class Photographer:
         gather(
             self._rays, cosine_directions(_DIRECTIONS), packed.kinds, packed.numbers, packed.reliefs, packed.maps,
             self._projector, light, np.array([_STEPS, _MARGIN], np.float64),
-            np.ascontiguousarray(np.stack(pairs)[..., None]), self.geometry.phase_axis, _SPACING, grid,
+            np.ascontiguousarray(np.stack(pairs)[..., None]), _SPACING, grid,
         )  # fmt: skip
         body = true_at_centers(self.geometry, packed).body
         x, y = np.meshgrid(*(np.arange(n, dtype=np.float32) / _SPACING for n in (width, height)))
@@ -138,8 +152,8 @@ class Photographer:
     def _calibrated(self) -> Calibration:
         """Show the fields of `colorphase calibrate radiometry` to a white plane, and measure them."""
         plane = draw_scene("plane", self.rig, 0)
-        fields = [self._field(color) for color in ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 1))]
-        black, *primaries, white = self.lines(plane, fields)
+        fields = [self.filled(color) for color in ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 1))]
+        black, *primaries, white = self.lights(plane, fields)
         exposure, captures = self.exposure(white), {}
         gammas = np.array(self.rig.gammas)
         names = radiometry_sequence(self.geometry.projector.size_px).names
@@ -208,17 +222,16 @@ class Taken:
 def take(photographer: Photographer, name: str, seed: int) -> Taken:
     """Return a scene before a rig."""
     scene = draw_scene(name, photographer.rig, seed)
-    patterns = ("plain", "coded", "compensated coded")
-    lines = [photographer.codes(name) for name in ("shift 1", "shift 2", *patterns)]
-    *shifts, coded, compensated, white = photographer.lines(scene, [*lines, np.ones_like(lines[0])])
+    pictures = [photographer.codes(name) for name in ("shift 1", "shift 2", *PATTERNS)]
+    first, second, *lights, white = photographer.lights(scene, [*pictures, np.ones_like(pictures[0])])
     exposure = photographer.exposure(white)
-    wave = sum(light * np.exp(-2j * np.pi * k / 3) for k, light in enumerate(shifts, 1))
+    wave = sum(light * np.exp(-2j * np.pi * k / 3) for k, light in enumerate((first, second, lights[0]), 1))
     return Taken(
         photographer.rig,
         photographer.calibration,
         scene,
         seed + 1,
-        dict(zip(patterns, (shifts[-1], coded, compensated), strict=True)),
+        dict(zip(PATTERNS, lights, strict=True)),
         exposure,
         (np.abs(wave).mean(axis=2) * (2 / 3 * 255 * exposure)).astype(np.float32),
         true_at_centers(photographer.geometry, scene.packed()),

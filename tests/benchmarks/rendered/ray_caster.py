@@ -1,8 +1,8 @@
 """What the camera's rays find, and the light that comes back: rays against bodies in double precision, as kernels.
 
 A pixel is the mean of rays spread over its area and the camera lens's blur. A ray ends on a body, from where another
-one asks whether the projector is seen; its light is read off tables of the pattern's line, blurred by the projector's
-lens. Rays near the border look beyond it, so the blur has all that it needs there.
+one asks whether the projector is seen; its light is read off pictures of the pattern, blurred by the projector's lens.
+Rays near the border look beyond it, so the blur has all that it needs there.
 """
 
 from dataclasses import dataclass
@@ -238,15 +238,24 @@ def projected(projector: ti.template(), place: vec3) -> vec3:
 
 
 @ti.func
-def light_of(light: ti.template(), row: ti.i32, place: ti.f64, level: ti.f64) -> ti.f64:
-    """Return one primary's light at a place along the phase (in the table's steps), under a blur (in its levels)."""
-    low = ti.min(ti.max(ti.i32(ti.floor(place)), 0), light.shape[2] - 2)
-    part = ti.min(ti.max(place - low, 0.0), 1.0)
-    sharp = ti.min(ti.i32(level), light.shape[1] - 2)
-    more = ti.min(level - sharp, 1.0)
-    one = light[row, sharp, low] * (1 - part) + light[row, sharp, low + 1] * part
-    other = light[row, sharp + 1, low] * (1 - part) + light[row, sharp + 1, low + 1] * part
-    return one * (1 - more) + other * more
+def light_in(light: ti.template(), sharp: ti.i32, x: ti.f64, y: ti.f64, primary: ti.i32) -> ti.f64:
+    """Return one primary's light at a place of the pictures of a level, linear between their steps."""
+    i = ti.min(ti.max(ti.i32(ti.floor(x)), 0), light.shape[2] - 2)
+    j = ti.min(ti.max(ti.i32(ti.floor(y)), 0), light.shape[1] - 2)
+    fx, fy = ti.min(ti.max(x - i, 0.0), 1.0), ti.min(ti.max(y - j, 0.0), 1.0)
+    upper = light[sharp, j, i, primary] * (1 - fx) + light[sharp, j, i + 1, primary] * fx
+    lower = light[sharp, j + 1, i, primary] * (1 - fx) + light[sharp, j + 1, i + 1, primary] * fx
+    return upper * (1 - fy) + lower * fy
+
+
+@ti.func
+def light_of(light: ti.template(), x: ti.f64, y: ti.f64, primary: ti.i32, level: ti.f64) -> ti.f64:
+    """Return one primary's light at a place (in the pictures' steps), under a blur (in their levels) more."""
+    sharp = ti.min(ti.i32(level), light.shape[0] - 1)
+    found = light_in(light, sharp, x, y, primary)
+    if level > sharp and sharp < light.shape[0] - 1:
+        found += (level - sharp) * (light_in(light, sharp + 1, x, y, primary) - found)
+    return found
 
 
 @ti.func
@@ -286,13 +295,12 @@ def photograph(
     maps: U8Array3,
     projector: F64Array1,  # see `_projector_numbers`
     shifted: F64Array1,  # (3,) magnification of the projector's primaries
-    light: F64Array3,  # (K * 3, levels, steps)
+    light: F32Array4,  # (levels of blur, rows, columns, K * 3)
     table: F64Array1,  # steps a px, margin px, px of blur a level
     matrices: F64Array3,  # (P, 3, 3) of each paint
     clear: F64Array2,  # (3, 3) of a mirror
     ambient: F64Array2,  # (P, 3)
     scatter: F64Array2,  # (P, 3) mm by which a paint's light spreads, of each primary
-    axis: ti.i32,
     film: F32Array4,  # out: (K, H, W, 3) linear light
 ):
     """Take all patterns at once."""
@@ -325,16 +333,18 @@ def photograph(
                     place = far * ray
                     paint = paint_at(kinds, numbers, maps, k, place)
                     diffuse, glossy, at = irradiance(kinds, numbers, reliefs, projector, place, normal, -ray, k)
-                    steps, levels = vec3(0.0), vec3(0.0)
+                    columns, rows, levels = vec3(0.0), vec3(0.0), vec3(0.0)
                     for j in ti.static(range(3)):
-                        along = projector[14 + axis] + (at[axis] - projector[14 + axis]) * shifted[j]
-                        steps[j] = (along + 0.5 + table[1]) * table[0] - 0.5
-                        levels[j] = scatter[paint, j] * projector[12 + axis] / at.z / table[2]
+                        u = projector[14] + (at.x - projector[14]) * shifted[j]
+                        v = projector[15] + (at.y - projector[15]) * shifted[j]
+                        columns[j] = (u + 0.5 + table[1]) * table[0] - 0.5
+                        rows[j] = (v + 0.5 + table[1]) * table[0] - 0.5
+                        levels[j] = scatter[paint, j] * projector[12] / at.z / table[2]
                     for p in range(patterns):
                         arrives = vec3(0.0)
                         if diffuse > 0:
                             for j in ti.static(range(3)):
-                                arrives[j] = light_of(light, 3 * p + j, steps[j], levels[j])
+                                arrives[j] = light_of(light, columns[j], rows[j], 3 * p + j, levels[j])
                         for c in ti.static(range(3)):
                             if together or c == group:
                                 seen = ambient[paint, c]
@@ -352,10 +362,9 @@ def gather(
     reliefs: F64Array3,
     maps: U8Array3,
     projector: F64Array1,
-    light: F64Array3,
+    light: F32Array4,
     table: F64Array1,
     matrices: F64Array4,  # (P * P, 3, 3, 1) of light that one paint sends to another
-    axis: ti.i32,
     spacing: ti.i32,
     found: F32Array4,  # out: (K, Hg, Wg, 3) linear light that another surface has sent here
 ):
@@ -380,13 +389,13 @@ def gather(
                     place = above + reach * out
                     there = paint_at(kinds, numbers, maps, other, place)
                     diffuse, _, at = irradiance(kinds, numbers, reliefs, projector, place, facing, -out, other)
-                    step = (at[axis] + 0.5 + table[1]) * table[0] - 0.5
+                    column, row = (at.x + 0.5 + table[1]) * table[0] - 0.5, (at.y + 0.5 + table[1]) * table[0] - 0.5
                     if diffuse > 0:
                         for p in range(found.shape[0]):
                             for c in ti.static(range(3)):
                                 for j in ti.static(range(3)):
                                     sent = matrices[here * paints + there, c, j, 0] * diffuse
-                                    sent *= light_of(light, 3 * p + j, step, 0.0) / directions.shape[0]
+                                    sent *= light_of(light, column, row, 3 * p + j, 0.0) / directions.shape[0]
                                     found[p, gy, gx, c] += ti.f32(sent)
 
 
