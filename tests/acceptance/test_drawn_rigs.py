@@ -8,7 +8,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks" / "ren
 
 import cv2
 import numpy as np
-from drawn_frames import Photographer
+from drawn_figures import decode, deeper, judge_orders
+from drawn_frames import Photographer, take
 from drawn_rigs import draw_rig
 from drawn_scenes import draw_scene
 from ray_caster import NOTHING, true_at_centers
@@ -32,3 +33,12 @@ def test_an_ideal_fringe_has_the_true_phase(cpu):
     error = np.angle(primaries / np.exp(1j * (per_px * truth.place[inside, None] + np.array(CHANNEL_PHASES))))
     assert inside.mean() > 0.5
     assert np.sqrt((error**2).mean()) < 5e-4
+
+
+def test_both_codes_are_read_on_a_plane(cpu):
+    """Orders are right under either code, and phases as good: that of cells costs less modulation."""
+    taken = take(Photographer(draw_rig(2)), "plane", 0)
+    one, two = (judge_orders(decode(taken, pattern), taken, deeper(taken.lit, 4)) for pattern in ("coded", "coded2"))
+    assert min(one["right"], two["right"]) > 0.999
+    assert max(one["wrong"], two["wrong"]) == 0
+    assert two["rms"] < 1.05 * one["rms"]

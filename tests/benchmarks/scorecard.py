@@ -552,7 +552,8 @@ def rigs_table(numbers: str, scenes: list[str], folder: Path) -> str:
     drawn = Path(__file__).with_name("rendered")
     names = ("drawn_rigs", "drawn_scenes", "drawn_frames", "ray_caster", "spectra")
     makers = [drawn / f"{name}.py" for name in names]
-    frames = folder / f"rigs-{digest(*makers, ROOT / 'pipeline' / 'calibration', ROOT / 'pipeline' / 'pattern.py')}"
+    makers += [ROOT / "pipeline" / name for name in ("calibration", "contrast_code.py", "pattern.py")]
+    frames = folder / f"rigs-{digest(*makers)}"
     figures = frames / digest(drawn, ROOT / "pipeline", ROOT / "tikernels")
     return study(list(rig_numbers(numbers)), scenes or list(SCENES), frames, figures)
 
