@@ -27,20 +27,22 @@ _FITTED = 0.012
 _OTHER, _OTHER_SIGMA = 0.15, 0.2
 # Blocks side by side deviate alike: each counts as this many. Those of a cycle with one symbol do so all along, by what
 # is not known of the response: they count as this many together.
-_INDEPENDENT, _OF_CYCLE = 0.6, 2.0
+_INDEPENDENT, OF_CYCLE = 0.6, 2.0
 # Standard deviations of a part's factor: of its slopes (a px), of ambient light's share, and of its middle, about the
 # frame's once that is known.
 _SLOPE, _AMBIENT, _GAIN, _ANY_GAIN = 5e-4, 0.25, 0.08, 0.5
-# A part's blocks that are looked at, and the rounds in which a fit finds out which of them show something else.
-_MOST_BLOCKS, _ROUNDS = 300, 3
+# Rounds in which a fit finds out which blocks show something else.
+_ROUNDS = 3
+# Of a large part, so many blocks tell which offsets are the likeliest, and all blocks how likely these are.
+_SOME, _LIKELIEST = 300, 8
 # Of a part's blocks, those whose orders may lie outside the pattern at either end; and how probably a part shows no
 # code.
 _STRAYS, _NO_CODE = 0.05, 0.1
 # Shifts of half a cell either way that are tried, which share of a cell is too far to be believed, and by how much
 # likelier one far off must be than no code at all.
 _SHIFTS, _MOST_SHIFT, _SURE_SHIFT = 13, 0.25, 20.0
-# Where much is tried of the largest parts, one in so many of their blocks is looked at.
-_LEARNT = 3
+# Where much is tried of the largest parts, so many of their blocks are looked at.
+_FEW = 100
 # By how much likelier than no code, or another one, a frame's largest parts must be to show it (natural logarithm), or
 # less likely not to; and how much that may count for other parts: where the rig has been turned a part of the picture
 # may lie elsewhere.
@@ -85,7 +87,7 @@ class PartEvidence:
     first: int  # the smallest offset
     likelihood: FloatArray  # (n,) logarithm, of that offset and those that follow
     no_code: float  # logarithm, if the part does not show the code
-    factor: Factor  # at each offset
+    gain: float  # the factor's logarithm in its middle, at the likeliest offset
 
     @property
     def best(self) -> int:
@@ -187,7 +189,7 @@ class CodeReader:
         Parameters
         ----------
         which, offsets
-            At most a few hundred blocks are looked at.
+            What is looked at.
         shifts_px : (K,) float
             By how many px the code lies further along the stripe; one for each offset.
         gammas : (K,) int, optional
@@ -206,8 +208,6 @@ class CodeReader:
         """
         blocks = self.blocks
         contrast = blocks.contrast[which] if contrast is None else contrast
-        step = -(-len(which) // _MOST_BLOCKS)
-        which, contrast = which[::step], contrast[::step]
         expected, inside = self.expected(which, blocks.order[which][:, None] + offsets, shifts_px, gammas)
         if no_code:
             expected = np.column_stack([expected, np.full(len(which), self.levels[self._gamma].mean())])
@@ -239,7 +239,7 @@ class CodeReader:
         # Of a cycle's blocks those without noise count most.
         precision = 1 / (self.blocks.variance[which] + _FITTED**2)
         _, cycle = np.unique(self.blocks.order[which], return_inverse=True)
-        return np.minimum(_INDEPENDENT, _OF_CYCLE * precision / np.bincount(cycle, precision)[cycle])
+        return np.minimum(_INDEPENDENT, OF_CYCLE * precision / np.bincount(cycle, precision)[cycle])
 
     def read(self, which: Integers) -> PartEvidence:
         """Return what the blocks (n,) of a part say of its offsets."""
@@ -251,12 +251,17 @@ class CodeReader:
     def _read(self, which: Integers) -> PartEvidence:
         offsets = self.offsets(which)
         if len(offsets) == 0:
-            return PartEvidence(0, np.zeros(0), 0.0, Factor(np.zeros(2), 0.0, np.zeros((4, 0))))
-        likelihood, factor = self.fit(which, offsets, no_code=True)
+            return PartEvidence(0, np.zeros(0), 0.0, 0.0)
+        shown, factor = self.fit(_thinned(which, _SOME), offsets, no_code=True)
+        likelihood, no_code, gains = shown[:-1], shown[-1], factor.terms[0, :-1]
         if len(which) > _FLATTENED:
-            flat = self.flattened(which, int(offsets[likelihood[:-1].argmax()]), _AROUND)
-            likelihood, factor = self.fit(which, offsets, contrast=flat, no_code=True)
-        return PartEvidence(int(offsets[0]), likelihood[:-1], float(likelihood[-1]), factor)
+            likely = np.argsort(likelihood)[-_LIKELIEST:]
+            flat = self.flattened(which, int(offsets[likely[-1]]), _AROUND)
+            shown, factor = self.fit(which, offsets[likely], contrast=flat, no_code=True)
+            # The others were less likely than any of these.
+            likelihood, no_code = np.full(len(offsets), shown[:-1].min()), shown[-1]
+            likelihood[likely], gains[likely] = shown[:-1], factor.terms[0, :-1]
+        return PartEvidence(int(offsets[0]), likelihood, float(no_code), float(gains[likelihood.argmax()]))
 
     def flattened(self, which: Integers, offset: int, around: tuple[int, int]) -> FloatArray:
         """Return the contrasts (n,) of a part's blocks as if its factor were the same all over.
@@ -300,7 +305,7 @@ class CodeReader:
         fits = np.zeros(len(GAMMAS))
         for some in largest:
             # The likeliest offsets hardly depend on the response.
-            offsets, few = self.offsets(some), some[:: -(-_LEARNT * len(some) // _MOST_BLOCKS)]
+            offsets, few = self.offsets(some), _thinned(some, _FEW)
             named = offsets[np.argsort(self.fit(few, offsets)[0])[-_NAMED:]]
             gammas = np.repeat(np.arange(len(GAMMAS)), len(named))
             likelihood, _ = self.fit(few, np.tile(named, len(GAMMAS)), gammas=gammas)
@@ -308,7 +313,7 @@ class CodeReader:
         self._gamma = int(fits.argmax())
         read = [self.read(some) for some in largest]
         more = sum(_log_sum(part.likelihood) - np.log(len(part.likelihood)) - part.no_code for part in read)
-        self._gain = float(np.median([part.factor.terms[0, part.likelihood.argmax()] for part in read]))
+        self._gain = float(np.median([part.gain for part in read]))
         self._trust = min(max(more, 0.0), _MOST_TRUST)
         self._evidence.clear()  # read before this was known
         return None if abs(more) <= _SHOWN else bool(more > 0)
@@ -326,9 +331,8 @@ class CodeReader:
         shifts = np.linspace(-0.5, 0.5, _SHIFTS) * self.code.cell_px
         total = np.zeros(_SHIFTS)
         for some in self._largest():
-            read = self.read(some)
-            best = np.full(_SHIFTS, read.first + read.likelihood.argmax())
-            total += self.fit(some, best, shifts_px=shifts)[0]
+            best = np.full(_SHIFTS, self.read(some).best)
+            total += self.fit(_thinned(some, _SOME), best, shifts_px=shifts)[0]
         return _peak(shifts, total)
 
     def is_far(self, shift_px: float) -> bool:
@@ -346,7 +350,7 @@ class CodeReader:
         totals = np.zeros((2, len(shifts)))
         for total, self._gamma in zip(totals, (GAMMAS.index(1.0), GAMMAS.index(2.0)), strict=True):
             for some in self._largest():
-                offsets, few = self.offsets(some), some[:: -(-_LEARNT * len(some) // _MOST_BLOCKS)]
+                offsets, few = self.offsets(some), _thinned(some, _FEW)
                 each, further = np.repeat(offsets, len(shifts)), np.tile(shifts, len(offsets))
                 likelihood, _ = self.fit(few, each, shifts_px=further, no_code=True)
                 by_offset = likelihood[:-1].reshape(len(offsets), -1)
@@ -442,6 +446,11 @@ def densities(departs: FloatArray, variance: FloatArray) -> FloatArray:
     near = variance[:, None] + SPREADS[:, None, None] ** 2
     other = _OTHER * np.exp(-0.5 * squares / far) / np.sqrt(far)
     return np.asarray((1 - _OTHER) * np.exp(-0.5 * squares / near) / np.sqrt(near) + other)
+
+
+def _thinned(which: Integers, most: int) -> Integers:
+    """Return at most so many blocks of a part, spread over it."""
+    return which[:: -(-len(which) // most)]
 
 
 def _mean_of(logarithms: FloatArray) -> FloatArray:

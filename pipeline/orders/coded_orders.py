@@ -86,7 +86,7 @@ def find_absolute_orders(
     if elsewhere is not None or readable is False or reader.is_far(shift_px):
         return _unread(graph, order_range if elsewhere is None else None, elsewhere)
     reader.shift(shift_px)
-    roots, main = cut_regions(reader, graph, order_range)
+    roots, main = cut_regions(reader, graph, width, order_range)
     if (main >= 0).any():
         reader = reader.again(reader_of(graph._replace(root=roots)))
     parts, read, posteriors = _placed(reader, graph, width, roots, main)

@@ -1,25 +1,31 @@
 """Cut regions where the code contradicts them: several surfaces were joined across steps of whole cycles.
 
-What blocks show beside the code is taken from the region as if it were one part (`code_evidence`). Then its patches are
-labelled with the offsets that their blocks name, all at once (`tikernels.order_evidence.offset_labelling`).
+What blocks show beside the code is taken from the region as if it were one part (`code_evidence`). Where the blocks in
+a window show another offset, its patches are labelled with that (`tikernels.order_evidence.offset_labelling`).
 """
+
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from pipeline.contrast_code import CYCLES
 from pipeline.models import FloatArray
-from pipeline.orders.code_evidence import CodeReader
+from pipeline.orders.code_evidence import OF_CYCLE, CodeReader
 from pipeline.orders.posterior import Integers, OrderRange
 from pipeline.robust import robust_sigma
+from tikernels.order_evidence.contrast_reading import BLOCKS
 from tikernels.order_evidence.offset_labelling import (
     Links,
+    OffsetEvidence,
     connected_parts,
+    find_other_offsets,
     pool_evidence,
     settle_labels,
     weigh_offsets,
 )
 from tikernels.unwrapping.patches import PatchGraph
+from tikernels.unwrapping.tables import CELL_HEIGHT, CELL_WIDTH
 
 # Blocks and rows of patches over which what is left of the factor is averaged: what is as large as these may be another
 # surface.
@@ -27,21 +33,24 @@ _AROUND = (17, 5)
 # Smallest standard deviation of a block's contrast: what its surface's factor may be off by. Blocks side by side
 # deviate alike: each counts as this many.
 _MIN_SIGMA, _COUNTS = 0.03, 0.5
-# What a single block may add to the squared deviation from the code, in variances, that is three standard deviations:
-# edges and blemishes deviate by more, and must not decide alone.
-_MAX_DEVIATION = 9.0
+# What a single block may deviate by from the code, in standard deviations: edges and blemishes deviate by more, and
+# must not decide alone.
+_MAX_DEVIATION = 3.0
 # Regions of fewer pixels or blocks are too small to be parted.
 _MIN_PARTED_PX, _MIN_BLOCKS = 600, 12
-# An offset is a candidate where patches, with what comes over contacts of this support or more undiminished, prefer it
-# to their region's own by this margin, in variances; it takes this many such patches, and the commonest few are looked
-# at.
-_FULL_SUPPORT, _MIN_MARGIN, _MIN_PATCHES, _CANDIDATES = 300, 70.0, 3, 12
+# Windows in which another offset is looked for, rows and columns of cells of 16 by 8 px: from two cycles, or three
+# cells of the code, to large objects. By how much it must be better, in variances, and how many offsets a region may
+# show. All blocks of a window may be off by so many standard deviations, as those of another paint are.
+_WINDOWS = np.array([[2, 6], [3, 3], [9, 1], [4, 8], [8, 16], [16, 24]])
+_LEAST, _CANDIDATES, _OFF_ALIKE = 10.0, 12, 2.0
+# A contact of this support lets evidence pass undiminished.
+_FULL_SUPPORT = 300
 # What a difference of labels costs across a contact of full support, in variances, and the least share of it.
 _LABEL_COST, _LEAST_SUPPORT = 12.0, 0.05
 
 
 def cut_regions(
-    reader: CodeReader, graph: PatchGraph, order_range: OrderRange | None = None
+    reader: CodeReader, graph: PatchGraph, width: int, order_range: OrderRange | None = None
 ) -> tuple[npt.NDArray[np.int32], Integers]:
     """Cut pieces off regions that the code contradicts.
 
@@ -51,6 +60,8 @@ def cut_regions(
         Of the frame's blocks.
     graph : PatchGraph
         The patches, joined to regions.
+    width : int
+        The image's, px.
     order_range : OrderRange, optional
         What is not in the projector's picture need not be looked at. Where surfaces are said to be is left to the
         posteriors, for it may be wrong.
@@ -85,7 +96,9 @@ def cut_regions(
         number[own] = np.arange(len(own))
         support = np.clip(graph.votes[within] / _FULL_SUPPORT, 0, 1)
         shares = number[blocks.block[shares]], holder, blocks.share[shares]
-        labels = _labels(_Region(reader, own, shares, len(patches)), offsets, Links.of(ends, len(patches)), support)
+        cells = graph.first[patches] // width // CELL_HEIGHT, graph.first[patches] % width // CELL_WIDTH
+        shown = _shown(reader, own, shares, offsets, cells)
+        labels = _labels(shown, Links.of(ends, len(patches)), support)
         if labels is None:
             continue
         whole = labels[ends[0]] == labels[ends[1]]
@@ -96,27 +109,6 @@ def cut_regions(
     return roots, main
 
 
-class _Region:
-    """What the blocks of a region show beside its factor."""
-
-    def __init__(
-        self, reader: CodeReader, own: Integers, held: tuple[Integers, Integers, FloatArray], patches: int
-    ) -> None:
-        blocks = reader.blocks
-        self.best, self._patches = reader.read(own).best, patches
-        level = reader.flattened(own, self.best, _AROUND)
-        departs = level - reader.expected(own, blocks.order[own] + self.best)[0]
-        usual = np.median(departs)
-        sigma = np.sqrt(blocks.variance[own] + max(_MIN_SIGMA, robust_sigma(departs - usual)) ** 2)
-        columns = reader.columns[own] / np.float32(reader.code.repeats_px)
-        shares = held[0], held[1], _COUNTS * held[2]
-        self._seen = shares, blocks.order[own], level - usual, sigma, columns, reader.levels_now
-
-    def against(self, offsets: range) -> npt.NDArray[np.float32]:
-        """Return (patches, offsets) by how much the blocks contradict each offset, in variances."""
-        return weigh_offsets(*self._seen, offsets, self._patches, _MAX_DEVIATION)
-
-
 def _held_by(owners: npt.NDArray[np.integer], regions: Integers) -> list[Integers]:
     """Return of each region, in the order of their numbers, the places at which it is the owner."""
     order = np.argsort(owners, kind="stable")
@@ -124,22 +116,50 @@ def _held_by(owners: npt.NDArray[np.integer], regions: Integers) -> list[Integer
     return [order[first:last] for first, last in zip(firsts, lasts, strict=True)]
 
 
-def _labels(region: _Region, offsets: range, links: Links, support: FloatArray) -> npt.NDArray[np.int32] | None:
+class _Shown(NamedTuple):
+    """What a region's patches show of each offset."""
+
+    evidence: OffsetEvidence
+    own: int  # the region's offset, counted from the first one
+    by_window: npt.NDArray[np.int32]  # (P,) the offset that a window shows; -1: none other
+    named: Integers  # (K,) these offsets, the surest first
+
+
+def _shown(
+    reader: CodeReader,
+    own: Integers,
+    held: tuple[Integers, Integers, FloatArray],
+    offsets: range,
+    cells: tuple[Integers, Integers],
+) -> _Shown:
+    """Weigh the blocks of a region, less its factor, against the code at each offset, and look for other ones."""
+    blocks, best = reader.blocks, reader.read(own).best
+    level = reader.flattened(own, best, _AROUND)
+    departs = level - reader.expected(own, blocks.order[own] + best)[0]
+    usual = np.median(departs)
+    sigma = np.sqrt(blocks.variance[own] + max(_MIN_SIGMA, robust_sigma(departs - usual)) ** 2)
+    columns = reader.columns[own] / np.float32(reader.code.repeats_px)
+    shares = held[0], held[1], _COUNTS * held[2]
+    code, patches = reader.levels_now, len(cells[0])
+    evidence = weigh_offsets(
+        shares, blocks.order[own], level - usual, sigma, columns, code, offsets, patches, _MAX_DEVIATION
+    )
+    counts = np.ones(len(_WINDOWS))
+    if reader.code.cell_px is None:  # all blocks of a cycle show the same
+        counts = np.minimum(counts, OF_CYCLE / (_COUNTS * BLOCKS * _WINDOWS[:, 1]))
+    number = best - offsets.start
+    found = find_other_offsets(evidence, cells, number, _WINDOWS, counts, common=_OFF_ALIKE**2, least=_LEAST)
+    return _Shown(evidence, number, *found)
+
+
+def _labels(shown: _Shown, links: Links, support: FloatArray) -> npt.NDArray[np.int32] | None:
     """Label a region's patches with the offsets that their blocks name, 0 for the region's own; None: all have that."""
-    against_own = region.against(range(region.best, region.best + 1))
-    if pool_evidence(against_own, links, support).max() <= _MIN_MARGIN:
-        return None  # no other offset can be better by more
-    evidence = region.against(offsets)
-    patches, own = len(evidence), region.best - offsets.start
-    pooled = pool_evidence(evidence, links, support)
-    best = pooled.argmin(axis=1)
-    margin = pooled[:, own] - pooled[np.arange(patches), best]
-    votes = np.bincount(best[(best != own) & (margin > _MIN_MARGIN)], minlength=len(offsets))
-    named = np.argsort(-votes, kind="stable")[:_CANDIDATES]
-    named = named[votes[named] >= _MIN_PATCHES]
-    if len(named) == 0:
+    if len(shown.named) == 0:
         return None
-    candidates = np.append(own, named)
-    alone, first = evidence[:, candidates], pooled[:, candidates].argmin(axis=1)
+    candidates = np.append(shown.own, shown.named[:_CANDIDATES])
+    alone = shown.evidence.of(candidates)
+    first = pool_evidence(alone, links, support).argmin(axis=1)
+    for label, offset in enumerate(candidates[1:], start=1):
+        first[shown.by_window == offset] = label
     labels = settle_labels(alone, first, links, _LABEL_COST * np.maximum(support, _LEAST_SUPPORT))
     return None if (labels == 0).all() else labels

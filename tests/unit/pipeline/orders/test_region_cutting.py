@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from support.coded_blocks import CODES, grid, reader_of
+from support.coded_blocks import CODES, WIDTH, grid, reader_of
 
 from pipeline.orders.posterior import OrderRange
 from pipeline.orders.region_cutting import cut_regions
@@ -15,7 +15,7 @@ TWO = [20] * 7 + [23] * 5
 
 def cut(reader, rows=ROWS, columns=COLUMNS, order_range=None):
     reader.learn()
-    roots, main = cut_regions(reader, grid(rows, columns), order_range)
+    roots, main = cut_regions(reader, grid(rows, columns), WIDTH, order_range)
     return roots.reshape(rows, columns), main
 
 

@@ -3,8 +3,11 @@
 import numpy as np
 
 from tikernels.order_evidence.offset_labelling import (
+    LANES,
     Links,
+    OffsetEvidence,
     connected_parts,
+    find_other_offsets,
     pool_evidence,
     settle_labels,
     weigh_offsets,
@@ -29,16 +32,54 @@ def test_deviations_as_the_twin(arch):
     order, level, sigma = rng.integers(-4, 9, 120), rng.normal(0, 0.1, 120), rng.uniform(0.02, 0.1, 120)
     columns = (rng.normal(0, 1, (120, 4)) * [3, 0.1, 1e-3, 1e-5]).astype(np.float32)
     held = rng.integers(0, 120, 200), rng.integers(0, COUNT, 200), rng.uniform(0.1, 1, 200)
-    evidence = weigh_offsets(held, order, level, sigma, columns, code, offsets, COUNT, 9.0)
-    expected = np.zeros((COUNT, len(offsets)))
+    evidence = weigh_offsets(held, order, level, sigma, columns, code, offsets, COUNT, 3.0)
+    squares, departs = np.zeros((2, COUNT, len(offsets)))
     for k, offset in enumerate(offsets):
         cycle = order + offset
         along = (columns * cycle[:, None] ** np.arange(4)).sum(axis=1)
         shown = code[np.clip(cycle, 0, 19), np.floor(np.mod(along, 1) * 30).astype(int)]
-        deviation = np.minimum(((level - shown) / sigma) ** 2, 9.0)
-        deviation[(cycle < 0) | (cycle >= 20)] = 9.0
-        np.add.at(expected[:, k], held[1], held[2] * deviation[held[0]])
-    np.testing.assert_allclose(evidence, expected, rtol=1e-4, atol=1e-3)
+        outside = (cycle < 0) | (cycle >= 20)
+        deviation = np.clip((level - shown) / sigma, -3, 3)
+        np.add.at(squares[:, k], held[1], held[2] * np.where(outside, 9.0, deviation**2)[held[0]])
+        np.add.at(departs[:, k], held[1], held[2] * np.where(outside, 0.0, deviation)[held[0]])
+    np.testing.assert_allclose(evidence.of(np.arange(len(offsets))), squares, rtol=1e-4, atol=1e-3)
+    np.testing.assert_allclose(evidence.departs.reshape(COUNT, -1)[:, : len(offsets)], departs, rtol=1e-4, atol=1e-3)
+    np.testing.assert_allclose(evidence.weight, np.bincount(held[1], held[2], COUNT), rtol=1e-5)
+
+
+def random_evidence(own):
+    """Return evidence of each patch of a grid for 40 offsets, more for the region's own."""
+    rng = np.random.default_rng(3)
+    squares, departs = rng.uniform(0, 9, (COUNT, 48)), rng.normal(0, 2, (COUNT, 48))
+    squares[:, own] -= 3
+    held = squares.astype(np.float32), departs.astype(np.float32), rng.uniform(1, 3, COUNT).astype(np.float32)
+    return OffsetEvidence(held[0].reshape(COUNT, 3, LANES), held[1].reshape(COUNT, 3, LANES), held[2], 40)
+
+
+def test_windows_as_the_twin(arch):
+    """The best windows first, none over another one; larger than the region they are as large as it."""
+    own, common, windows = 21, 4.0, np.array([[2, 3], [1, 1], [5, 4], [99, 2]])
+    evidence, counts = random_evidence(own), np.array([1.0, 0.5, 1.0, 1.0])
+    row, column = np.divmod(np.arange(COUNT), COLUMNS)
+    squares, departs = (values.reshape(COUNT, -1)[:, :40] for values in evidence[:2])
+    found = []
+    for (high, wide), count in zip(np.minimum(windows, [ROWS, COLUMNS]), counts, strict=True):
+        for top in range(0, ROWS - high + 1, max(high // 4, 1)):
+            for left in range(0, COLUMNS - wide + 1, max(wide // 4, 1)):
+                within = (row >= top) & (row < top + high) & (column >= left) & (column < left + wide)
+                remains = squares[within].sum(axis=0)
+                remains -= departs[within].sum(axis=0) ** 2 / (evidence.weight[within].sum() + 1 / common)
+                found.append((count * (remains[own] - remains.min()), within, remains.argmin()))
+    expected, named = np.full(COUNT, -1), []
+    for gain, within, offset in sorted(found, key=lambda window: -window[0]):
+        if gain > 2.0 and (expected[within] < 0).all():
+            expected[within] = offset
+            named.append(offset)
+    assert len(named) > 4
+    chosen = {"common": common, "least": 2.0}
+    shown, offsets = find_other_offsets(evidence, (row + 7, column + 2), own, windows, counts, **chosen)
+    np.testing.assert_array_equal(shown, expected)
+    np.testing.assert_array_equal(offsets, list(dict.fromkeys(named)))
 
 
 def test_what_is_pooled_as_the_twin(arch):
