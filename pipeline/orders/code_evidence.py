@@ -86,7 +86,8 @@ class PartEvidence:
 
     first: int  # the smallest offset
     likelihood: FloatArray  # (n,) logarithm, of that offset and those that follow
-    no_code: float  # logarithm, if the part does not show the code
+    even: float  # logarithm, if all blocks show the same level
+    other: float  # logarithm, if each block, or cycle, shows a level of its own
     gain: float  # the factor's logarithm in its middle, at the likeliest offset
 
     @property
@@ -94,7 +95,14 @@ class PartEvidence:
         """The likeliest offset; 0 where nothing is known."""
         return self.first + int(self.likelihood.argmax()) if len(self.likelihood) else 0
 
-    def posterior(self, prior: FloatArray | float, luck: float) -> Posterior:
+    def no_code(self, trust: float) -> float:
+        """Return the logarithm of the likelihood that the part does not show the code.
+
+        By `trust` it is the likelier that the code lies where it is expected than anywhere else (logarithm).
+        """
+        return float(np.logaddexp(self.even, self.other - trust))
+
+    def posterior(self, prior: FloatArray | float, luck: float, trust: float) -> Posterior:
         """Return how probable each offset is.
 
         Parameters
@@ -103,12 +111,14 @@ class PartEvidence:
             Logarithm of how probable the offsets are otherwise.
         luck : float
             Logarithm by how much likelier than it seems the part shows no code at all.
+        trust : float
+            As for `no_code`.
         """
         if len(self.likelihood) == 0:
             return NOTHING_KNOWN
         prior = prior - _log_sum(prior + np.zeros(len(self.likelihood)))
         shown = np.log(1 - _NO_CODE) + self.likelihood + prior
-        none = np.log(_NO_CODE) + self.no_code + luck + prior
+        none = np.log(_NO_CODE) + self.no_code(trust) + luck + prior
         together = np.logaddexp(shown, none)
         probability = np.exp(together - together.max())
         return Posterior(self.first, probability / probability.sum())
@@ -130,11 +140,13 @@ class CodeReader:
     def __init__(self, blocks: Blocks, code: ContrastCode, columns: StripeColumns | None) -> None:
         self.blocks = blocks
         self.cycles = CYCLES if columns is None else min(CYCLES, int(columns.cycles) + 1)
-        self.code, self._gamma, self._shift_px = code, GAMMAS.index(2.0), 0.0
+        self.code, self._gamma = code, GAMMAS.index(2.0)
+        #: By how many px the code lies further along the stripe than the calibration says.
+        self.shift_px = 0.0
         self._gain: float | None = None
         self._evidence: dict[bytes, PartEvidence] = {}
-        # Logarithm by how much likelier the code lies where it is expected than anywhere else.
-        self._trust = 0.0
+        #: Logarithm by how much likelier the code lies where it is expected than anywhere else.
+        self.trust = 0.0
         #: (N, 4) where each block looks along the stripe: terms of a polynomial of its order, px.
         self.columns, width_px = np.zeros((len(blocks.order), 4), np.float32), 0.0
         if code.cell_px is not None and columns is not None:
@@ -197,7 +209,8 @@ class CodeReader:
         contrast : (n,) float, optional
             The blocks' contrasts, if not as they were seen.
         no_code : bool
-            Fit it as well as if all blocks had the same contrast, in a last column.
+            Return as well how likely the blocks are if all have the same level, and if each, or each cycle, has one of
+            the code's by itself.
 
         Returns
         -------
@@ -219,17 +232,17 @@ class CodeReader:
         counts = self._counts(which)
         likelihood, terms = fit_levels(remains, inside, shape, variance, counts, self._gain)
         if no_code:
-            # Or as if every block, or cycle, had a symbol of its own, which no offset of the code has there.
             levels = self.levels[self._gamma, ::3, ::5]
             any_of = np.quantile(levels - levels.mean(), (np.arange(_LEVELS) + 0.5) / _LEVELS)
             departs = remains[:, -1] - shape @ terms[:, -1]
-            shown = counts[:, None] * np.log(densities(departs[:, None] - any_of, variance))
+            shown = densities(departs[:, None] - any_of, variance) ** counts[:, None]
             if self.code.cell_px is None:
                 sort = np.argsort(blocks.order[which], kind="stable")
                 starts = np.flatnonzero(np.diff(blocks.order[which][sort], prepend=np.iinfo(np.int64).min))
-                shown = np.add.reduceat(shown[:, sort], starts, axis=1)
-            at_random = np.logaddexp.reduce(shown, axis=2) - np.log(_LEVELS)
-            likelihood[-1] = np.logaddexp(likelihood[-1], _mean_of(at_random.sum(axis=1)) - self._trust)
+                shown = np.multiply.reduceat(shown[:, sort], starts, axis=1)
+            with np.errstate(divide="ignore"):
+                other = _mean_of(np.log(shown.mean(axis=2)).sum(axis=1))
+            likelihood = np.append(likelihood, other)
         return likelihood, Factor(middle, usual, terms)
 
     def _counts(self, which: Integers) -> FloatArray:
@@ -251,17 +264,18 @@ class CodeReader:
     def _read(self, which: Integers) -> PartEvidence:
         offsets = self.offsets(which)
         if len(offsets) == 0:
-            return PartEvidence(0, np.zeros(0), 0.0, 0.0)
+            return PartEvidence(0, np.zeros(0), 0.0, 0.0, 0.0)
         shown, factor = self.fit(_thinned(which, _SOME), offsets, no_code=True)
-        likelihood, no_code, gains = shown[:-1], shown[-1], factor.terms[0, :-1]
+        likelihood, gains = shown[:-2], factor.terms[0, :-1]
         if len(which) > _FLATTENED:
             likely = np.argsort(likelihood)[-_LIKELIEST:]
             flat = self.flattened(which, int(offsets[likely[-1]]), _AROUND)
             shown, factor = self.fit(which, offsets[likely], contrast=flat, no_code=True)
             # The others were less likely than any of these.
-            likelihood, no_code = np.full(len(offsets), shown[:-1].min()), shown[-1]
-            likelihood[likely], gains[likely] = shown[:-1], factor.terms[0, :-1]
-        return PartEvidence(int(offsets[0]), likelihood, float(no_code), float(gains[likelihood.argmax()]))
+            likelihood = np.full(len(offsets), shown[:-2].min())
+            likelihood[likely], gains[likely] = shown[:-2], factor.terms[0, :-1]
+        even, other = map(float, shown[-2:])
+        return PartEvidence(int(offsets[0]), likelihood, even, other, float(gains[likelihood.argmax()]))
 
     def flattened(self, which: Integers, offset: int, around: tuple[int, int]) -> FloatArray:
         """Return the contrasts (n,) of a part's blocks as if its factor were the same all over.
@@ -295,27 +309,34 @@ class CodeReader:
         return [self.read(sort[first:last]) for first, last in zip(*ends, strict=True)]
 
     def learn(self) -> bool | None:
-        """Take the response and the usual factor from the frame's largest parts, and say if they show the code.
+        """Take response, usual factor and shift from the frame's largest parts, and say if they show the code.
 
         None: they are too small to say.
         """
         largest = self._largest()
         if not largest:
             return False
-        fits = np.zeros(len(GAMMAS))
+        # The likeliest offsets hardly depend on the response, nor on a small shift.
+        gammas, tried = np.repeat(np.arange(len(GAMMAS)), _NAMED), []
         for some in largest:
-            # The likeliest offsets hardly depend on the response.
-            offsets, few = self.offsets(some), _thinned(some, _FEW)
-            named = offsets[np.argsort(self.fit(few, offsets)[0])[-_NAMED:]]
-            gammas = np.repeat(np.arange(len(GAMMAS)), len(named))
-            likelihood, _ = self.fit(few, np.tile(named, len(GAMMAS)), gammas=gammas)
-            fits += likelihood.reshape(len(GAMMAS), -1).max(axis=1)
-        self._gamma = int(fits.argmax())
-        read = [self.read(some) for some in largest]
-        more = sum(_log_sum(part.likelihood) - np.log(len(part.likelihood)) - part.no_code for part in read)
-        self._gain = float(np.median([part.gain for part in read]))
-        self._trust = min(max(more, 0.0), _MOST_TRUST)
-        self._evidence.clear()  # read before this was known
+            few, offsets = _thinned(some, _FEW), self.offsets(some)
+            likeliest = np.resize(offsets[np.argsort(self.fit(few, offsets)[0])[-_NAMED:]], _NAMED)
+            named = np.tile(likeliest, len(GAMMAS))
+            likelihood, factor = self.fit(few, named, gammas=gammas)
+            tried.append(np.stack([likelihood, named, factor.terms[0]]).reshape(3, len(GAMMAS), _NAMED))
+        self._gamma = int(sum(likelihood.max(axis=1) for likelihood, _, _ in tried).argmax())
+        found = [each[1:, self._gamma, each[0, self._gamma].argmax()] for each in tried]
+        self._gain = float(np.median([gain for _, gain in found]))
+        self.shift_px = self._shift_near(largest, [int(offset) for offset, _ in found])
+        self._move(0.0 if self.is_far else self.shift_px)
+        more = 0.0
+        for some in largest:
+            part = self.read(some)
+            more += _log_sum(part.likelihood) - np.log(len(part.likelihood)) - part.no_code(0.0)
+        self.trust = min(max(more, 0.0), _MOST_TRUST)
+        if more <= _SHOWN and not self.is_far:  # nor is it known where it lies
+            self._move(-self.shift_px)
+            self.shift_px = 0.0
         return None if abs(more) <= _SHOWN else bool(more > 0)
 
     def _largest(self) -> list[Integers]:
@@ -324,20 +345,19 @@ class CodeReader:
         largest = [np.flatnonzero(self.blocks.root == root) for root in roots[np.argsort(counts)[-_TELLING:]]]
         return [some for some in largest if len(self.offsets(some))]
 
-    def shift_near(self) -> float:
+    def _shift_near(self, largest: list[Integers], offsets: list[int]) -> float:
         """Return by how many px the code lies further along the stripe, at most half a cell, by the largest parts."""
         if self.code.cell_px is None:
             return 0.0
-        shifts = np.linspace(-0.5, 0.5, _SHIFTS) * self.code.cell_px
-        total = np.zeros(_SHIFTS)
-        for some in self._largest():
-            best = np.full(_SHIFTS, self.read(some).best)
-            total += self.fit(_thinned(some, _SOME), best, shifts_px=shifts)[0]
+        shifts, total = np.linspace(-0.5, 0.5, _SHIFTS) * self.code.cell_px, np.zeros(_SHIFTS)
+        for some, offset in zip(largest, offsets, strict=True):
+            total += self.fit(_thinned(some, _SOME), np.full(_SHIFTS, offset), shifts_px=shifts)[0]
         return _peak(shifts, total)
 
-    def is_far(self, shift_px: float) -> bool:
+    @property
+    def is_far(self) -> bool:
         """Whether the code lies too far off to be read there."""
-        return self.code.cell_px is not None and abs(shift_px) > _MOST_SHIFT * self.code.cell_px
+        return self.code.cell_px is not None and abs(self.shift_px) > _MOST_SHIFT * self.code.cell_px
 
     def shift_anywhere(self) -> float | None:
         """Return the shift over half a repeat of the code either way, whatever the offsets; None: nothing tells.
@@ -353,26 +373,21 @@ class CodeReader:
                 offsets, few = self.offsets(some), _thinned(some, _FEW)
                 each, further = np.repeat(offsets, len(shifts)), np.tile(shifts, len(offsets))
                 likelihood, _ = self.fit(few, each, shifts_px=further, no_code=True)
-                by_offset = likelihood[:-1].reshape(len(offsets), -1)
-                total += np.logaddexp.reduce(by_offset, axis=0) - np.log(len(offsets)) - likelihood[-1]
+                by_offset = likelihood[:-2].reshape(len(offsets), -1)
+                total += np.logaddexp.reduce(by_offset, axis=0) - np.log(len(offsets)) - np.logaddexp(*likelihood[-2:])
         total = totals[totals.max(axis=1).argmax()]
         return _peak(shifts, total) if total.max() > _SURE_SHIFT else None
 
-    def shift(self, shift_px: float) -> None:
-        """Read the code so many px further along the stripe, from now on."""
-        if shift_px:
-            self._evidence.clear()
-            self._move(shift_px)
-
     def _move(self, shift_px: float) -> None:
-        self._shift_px = shift_px
+        """Read the code so many px further along the stripe, from now on."""
         self.columns[:, 0] += shift_px
+        self._evidence.clear()
 
     def again(self, other: "CodeReader") -> "CodeReader":
         """Return the reader of other blocks of the frame with what was learnt of it."""
-        other._gamma, other._gain, other._trust = self._gamma, self._gain, self._trust
+        other._gamma, other._gain, other.trust, other.shift_px = self._gamma, self._gain, self.trust, self.shift_px
+        other._move(self.shift_px)
         other._evidence = self._evidence
-        other._move(self._shift_px)
         return other
 
 

@@ -81,11 +81,9 @@ def find_absolute_orders(
 
     reader = reader_of(graph)
     readable = reader.learn()
-    shift_px = reader.shift_near() if readable else 0.0
-    elsewhere = None if readable and not reader.is_far(shift_px) else reader.shift_anywhere()
-    if elsewhere is not None or readable is False or reader.is_far(shift_px):
+    elsewhere = None if readable and not reader.is_far else reader.shift_anywhere()
+    if elsewhere is not None or readable is False or reader.is_far:
         return _unread(graph, order_range if elsewhere is None else None, elsewhere)
-    reader.shift(shift_px)
     roots, main = cut_regions(reader, graph, width, order_range)
     if (main >= 0).any():
         reader = reader.again(reader_of(graph._replace(root=roots)))
@@ -114,7 +112,7 @@ def find_absolute_orders(
             for within, posterior in zip(ranges, posteriors, strict=True)
         ]
     absolute = AbsoluteOrders(parts, tuple(posteriors))
-    return CodedOrders(roots, absolute, settled.shifts, settled.torn, readable, shift_px=shift_px)
+    return CodedOrders(roots, absolute, settled.shifts, settled.torn, readable, reader.shift_px)
 
 
 def _unread(graph: PatchGraph, order_range: OrderRange | None, elsewhere_px: float | None) -> CodedOrders:
@@ -142,7 +140,7 @@ def _placed(
     origin = main[graph.root[parts]]
     ends = np.where(origin == parts, 1, 2)  # of what remains of the region the labels have found one
     luck = np.where(origin >= 0, ends * np.log(reader.cycles), 0.0)
-    posteriors = [part.posterior(0.0, float(more)) for part, more in zip(read, luck, strict=True)]
+    posteriors = [part.posterior(0.0, float(more), reader.trust) for part, more in zip(read, luck, strict=True)]
     sure = [k for k, found in enumerate(posteriors) if found.error(found.best) < MAX_ABSOLUTE_ERROR]
     if sure:
         # What these tell of the others.
@@ -150,7 +148,7 @@ def _placed(
         for k, (part, of_region, seen) in enumerate(zip(parts, origin, read, strict=True)):
             if of_region in (-1, part):
                 near = log_nearness(lacking[part], seen.first + np.arange(len(seen.likelihood)))
-                posteriors[k] = seen.posterior(near, float(luck[k]))
+                posteriors[k] = seen.posterior(near, float(luck[k]), reader.trust)
     of_main = {int(part): posterior for part, posterior in zip(parts, posteriors, strict=True)}
     for k, part in enumerate(parts):
         region = of_main.get(int(origin[k]))

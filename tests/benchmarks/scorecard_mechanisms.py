@@ -199,7 +199,7 @@ def orders_of_this_frame(original: Original) -> Any:
 
 def no_luck(original: Original) -> Any:
     """Count no piece's freedom to choose where it ends."""
-    return lambda self, prior, luck: original(self, prior, 0.0)
+    return lambda self, prior, luck, trust: original(self, prior, 0.0, trust)
 
 
 def flat_shapes(original: Original) -> Any:
@@ -448,8 +448,8 @@ _ALL = (
         {"code_evidence:_OF_CYCLE": gives(1e9)}, "code_evidence:CodeReader._counts",
         promise="of 192 strips of two to four cycles 18 were absolute and wrong without it"),
     Mechanism("code's shift", "the second code is read where it lies, up to a quarter of a cell off", "",
-        {"code_evidence:CodeReader.shift_near": gives(0.0)},
-        "code_evidence:CodeReader.shift_near code_evidence:CodeReader.shift_anywhere code_evidence:CodeReader.is_far",
+        {"code_evidence:CodeReader._shift_near": gives(0.0)},
+        "code_evidence:CodeReader._shift_near code_evidence:CodeReader.shift_anywhere code_evidence:CodeReader.is_far",
         promise="rigs that have moved since their calibration"),
     Mechanism("code's correction", "the phase is corrected by the modulation of its place", "bust-skin-2-coded",
         {"order_finder:correct_by_modulation": nothing}, "modulation_correction modulation"),
