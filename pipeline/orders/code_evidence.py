@@ -33,8 +33,8 @@ _INDEPENDENT, OF_CYCLE = 0.6, 2.0
 _SLOPE, _AMBIENT, _GAIN, _ANY_GAIN = 5e-4, 0.25, 0.08, 0.5
 # Rounds in which a fit finds out which blocks show something else.
 _ROUNDS = 3
-# Of a large part, so many blocks tell which offsets are the likeliest, and all blocks how likely these are.
-_SOME, _LIKELIEST = 300, 8
+# Of a large part, so many blocks tell which offsets are the likeliest, and so many how likely these are.
+_SOME, _LIKELIEST, _MANY = 300, 8, 1200
 # Of a part's blocks, those whose orders may lie outside the pattern at either end; and how probably a part shows no
 # code.
 _STRAYS, _NO_CODE = 0.05, 0.1
@@ -270,7 +270,8 @@ class CodeReader:
         if len(which) > _FLATTENED:
             likely = np.argsort(likelihood)[-_LIKELIEST:]
             flat = self.flattened(which, int(offsets[likely[-1]]), _AROUND)
-            shown, factor = self.fit(which, offsets[likely], contrast=flat, no_code=True)
+            many = _thinned(np.arange(len(which)), _MANY)
+            shown, factor = self.fit(which[many], offsets[likely], contrast=flat[many], no_code=True)
             # The others were less likely than any of these.
             likelihood = np.full(len(offsets), shown[:-2].min())
             likelihood[likely], gains[likely] = shown[:-2], factor.terms[0, :-1]
@@ -283,7 +284,7 @@ class CodeReader:
         What so many blocks and rows of patches around each are off the code at this offset is taken off, too.
         """
         blocks = self.blocks
-        _, factor = self.fit(which, np.array([offset]))
+        _, factor = self.fit(_thinned(which, _SOME), np.array([offset]))
         usual = float(factor.terms[0, 0])
         flat = blocks.contrast[which] - factor.at(blocks.place[which], blocks.brightness[which])[:, 0] + usual
         departs = flat - usual - self.expected(which, blocks.order[which] + offset)[0]

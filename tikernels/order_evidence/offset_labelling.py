@@ -109,6 +109,7 @@ def scan_windows_kernel(
     offsets: i32,  # how many there are
     own: i32,  # the region's
     common: f32,  # variance of what all blocks of a window may be off alike, in variances
+    least: f32,  # where no offset can be better by more, none is looked at
     out_gain: F32Array3,  # (W, R, C) by how much another offset is better, in variances
     out_offset: I32Array3,  # (W, R, C) the best offset
 ):
@@ -128,12 +129,13 @@ def scan_windows_kernel(
                 now = 0.0
                 for k in ti.static(range(LANES)):
                     now += ti.select(k == own % LANES, remains[k], 0.0)
-                for group in range(squares.shape[1]):
-                    depart = window_sum(departs, corner, below, wide, group)
-                    remains = window_sum(squares, corner, below, wide, group) - scale * depart * depart
-                    for k in ti.static(range(LANES)):
-                        if group * LANES + k < offsets and now - remains[k] > better:
-                            best, better = group * LANES + k, now - remains[k]
+                if now > least:
+                    for group in range(squares.shape[1]):
+                        depart = window_sum(departs, corner, below, wide, group)
+                        remains = window_sum(squares, corner, below, wide, group) - scale * depart * depart
+                        for k in ti.static(range(LANES)):
+                            if group * LANES + k < offsets and now - remains[k] > better:
+                                best, better = group * LANES + k, now - remains[k]
             out_gain[w, row, column] = better
             out_offset[w, row, column] = best
 
@@ -316,7 +318,7 @@ def find_other_offsets(
     gain = np.empty((len(windows), rows, columns), np.float32)
     offset = np.empty(gain.shape, np.int32)
     summed = weights.reshape(-1, 1), tables[0], tables[1]
-    scan_windows_kernel(windows, *summed, evidence.offsets, own, common, gain, offset)
+    scan_windows_kernel(windows, *summed, evidence.offsets, own, common, least, gain, offset)
     gain *= counts[:, None, None]
     shown, named = np.full((rows, columns), -1, np.int32), []
     found = np.nonzero(gain > least)

@@ -48,11 +48,12 @@ def test_deviations_as_the_twin(arch):
 
 
 def random_evidence(own):
-    """Return evidence of each patch of a grid for 40 offsets, more for the region's own."""
+    """Return evidence of each patch of a grid for 40 offsets, most against the region's own."""
     rng = np.random.default_rng(3)
-    squares, departs = rng.uniform(0, 9, (COUNT, 48)), rng.normal(0, 2, (COUNT, 48))
-    squares[:, own] -= 3
-    held = squares.astype(np.float32), departs.astype(np.float32), rng.uniform(1, 3, COUNT).astype(np.float32)
+    departs, weight = rng.normal(0, 2, (COUNT, 48)), rng.uniform(1, 3, COUNT)
+    squares = departs**2 / weight[:, None] + rng.uniform(0, 9, departs.shape)
+    squares[:, own] += 6
+    held = squares.astype(np.float32), departs.astype(np.float32), weight.astype(np.float32)
     return OffsetEvidence(held[0].reshape(COUNT, 3, LANES), held[1].reshape(COUNT, 3, LANES), held[2], 40)
 
 
