@@ -46,7 +46,7 @@ _LEAST, _CANDIDATES, _OFF_ALIKE = 10.0, 12, 2.0
 # A contact of this support lets evidence pass undiminished.
 _FULL_SUPPORT = 300
 # What a difference of labels costs across a contact of full support, in variances, and the least share of it.
-_LABEL_COST, _LEAST_SUPPORT = 12.0, 0.05
+_LABEL_COST, _LEAST_SUPPORT = 3.0, 0.05
 
 
 def cut_regions(
