@@ -100,6 +100,27 @@ def window_sum(table: Static, corner: i32, below: i32, beside: i32, group: i32):
     return all_of - table[corner + beside, group] + table[corner, group]
 
 
+@ti.func
+def window_remains(squares: Static, departs: Static, scale: f32, corner: i32, below: i32, beside: i32, group: i32):
+    """Return what is left of a window's squares where its blocks are all off alike."""
+    depart = window_sum(departs, corner, below, beside, group)
+    return window_sum(squares, corner, below, beside, group) - scale * depart * depart
+
+
+@ti.func
+def best_offset(
+    squares: Static, departs: Static, scale: f32, corner: i32, below: i32, beside: i32, offsets: i32, own: i32, now: f32
+):
+    """Return which offset leaves least of a window's squares, and by how much less than the region's."""
+    best, better = own, 0.0
+    for group in range(squares.shape[1]):
+        remains = window_remains(squares, departs, scale, corner, below, beside, group)
+        for k in ti.static(range(LANES)):
+            if group * LANES + k < offsets and now - remains[k] > better:
+                best, better = group * LANES + k, now - remains[k]
+    return best, better
+
+
 @kernel
 def scan_windows_kernel(
     windows: I32Array2,  # (W, 2) cells, rows by columns
@@ -124,18 +145,12 @@ def scan_windows_kernel(
                 line = out_gain.shape[2] + 1
                 corner, below = row * line + column, high * line
                 scale = 1 / (window_sum(weights, corner, below, wide, 0) + 1 / common)
-                depart = window_sum(departs, corner, below, wide, own // LANES)
-                remains = window_sum(squares, corner, below, wide, own // LANES) - scale * depart * depart
+                remains = window_remains(squares, departs, scale, corner, below, wide, own // LANES)
                 now = 0.0
                 for k in ti.static(range(LANES)):
                     now += ti.select(k == own % LANES, remains[k], 0.0)
                 if now > least:
-                    for group in range(squares.shape[1]):
-                        depart = window_sum(departs, corner, below, wide, group)
-                        remains = window_sum(squares, corner, below, wide, group) - scale * depart * depart
-                        for k in ti.static(range(LANES)):
-                            if group * LANES + k < offsets and now - remains[k] > better:
-                                best, better = group * LANES + k, now - remains[k]
+                    best, better = best_offset(squares, departs, scale, corner, below, wide, offsets, own, now)
             out_gain[w, row, column] = better
             out_offset[w, row, column] = best
 
