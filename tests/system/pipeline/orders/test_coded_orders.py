@@ -228,7 +228,7 @@ def test_what_another_decoder_has_seen_of_a_code():
 @pytest.mark.parametrize("rows", [26, 36, 48])
 @pytest.mark.filterwarnings("ignore::pipeline.DecodeWarning")
 def test_too_few_cycles_are_flagged(rows, gamma):
-    """Two to three cycles do not name their place, nor four in some places, or the right one, however wide the surface is."""
+    """Two and three cycles do not name their place, however wide; four do in some places, and the right one."""
     truth, calibration = simulated("plane", gamma=gamma)
     settings = DecodeSettings(code="contrast", crosstalk_matrix=calibration.crosstalk_matrix)
     absolute = []
