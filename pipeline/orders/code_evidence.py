@@ -268,13 +268,17 @@ class CodeReader:
         shown, factor = self.fit(_thinned(which, _SOME), offsets, no_code=True)
         likelihood, gains = shown[:-2], factor.terms[0, :-1]
         if len(which) > _FLATTENED:
-            likely = np.argsort(likelihood)[-_LIKELIEST:]
-            flat = self.flattened(which, int(offsets[likely[-1]]), _AROUND)
-            many = _thinned(np.arange(len(which)), _MANY)
-            shown, factor = self.fit(which[many], offsets[likely], contrast=flat[many], no_code=True)
+            likely, many = np.argsort(likelihood)[-_LIKELIEST:], _thinned(np.arange(len(which)), _MANY)
+            found = []
+            for k in likely:  # each as if what is left of the factor were so by its offset
+                flat = self.flattened(which, int(offsets[k]), _AROUND)[many]
+                each, factor = self.fit(which[many], offsets[k : k + 1], contrast=flat, no_code=True)
+                found.append(each)
+                gains[k] = factor.terms[0, 0]
+            shown = max(found, key=lambda each: float(each[0]))
             # The others were less likely than any of these.
-            likelihood = np.full(len(offsets), shown[:-2].min())
-            likelihood[likely], gains[likely] = shown[:-2], factor.terms[0, :-1]
+            likelihood = np.full(len(offsets), min(each[0] for each in found))
+            likelihood[likely] = [each[0] for each in found]
         even, other = map(float, shown[-2:])
         return PartEvidence(int(offsets[0]), likelihood, even, other, float(gains[likelihood.argmax()]))
 
