@@ -34,7 +34,7 @@ _SLOPE, _AMBIENT, _GAIN, _ANY_GAIN = 5e-4, 0.25, 0.08, 0.5
 # Rounds in which a fit finds out which blocks show something else.
 _ROUNDS = 3
 # Of a large part, so many blocks tell which offsets are the likeliest, and so many how likely these are.
-_SOME, _LIKELIEST, _MANY = 300, 8, 1200
+_SOME, _LIKELIEST, _MANY = 300, 4, 1200
 # Of a part's blocks, those whose orders may lie outside the pattern at either end; and how probably a part shows no
 # code.
 _STRAYS, _NO_CODE = 0.05, 0.1
@@ -269,16 +269,16 @@ class CodeReader:
         likelihood, gains = shown[:-2], factor.terms[0, :-1]
         if len(which) > _FLATTENED:
             likely, many = np.argsort(likelihood)[-_LIKELIEST:], _thinned(np.arange(len(which)), _MANY)
-            found = []
-            for k in likely:  # each as if what is left of the factor were so by its offset
-                flat = self.flattened(which, int(offsets[k]), _AROUND)[many]
-                each, factor = self.fit(which[many], offsets[k : k + 1], contrast=flat, no_code=True)
-                found.append(each)
+            found, flat = np.empty(len(likely)), []
+            for n, k in enumerate(likely):  # each as if what is left of the factor were so by its offset
+                flat.append(self.flattened(which, int(offsets[k]), _AROUND)[many])
+                found[n : n + 1], factor = self.fit(which[many], offsets[k : k + 1], contrast=flat[n])
                 gains[k] = factor.terms[0, 0]
-            shown = max(found, key=lambda each: float(each[0]))
+            best = int(found.argmax())
+            shown, _ = self.fit(which[many], offsets[likely[best : best + 1]], contrast=flat[best], no_code=True)
             # The others were less likely than any of these.
-            likelihood = np.full(len(offsets), min(each[0] for each in found))
-            likelihood[likely] = [each[0] for each in found]
+            likelihood = np.full(len(offsets), found.min())
+            likelihood[likely] = found
         even, other = map(float, shown[-2:])
         return PartEvidence(int(offsets[0]), likelihood, even, other, float(gains[likelihood.argmax()]))
 
