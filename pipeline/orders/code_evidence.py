@@ -33,13 +33,13 @@ _INDEPENDENT, OF_CYCLE = 0.6, 2.0
 _SLOPE, _AMBIENT, _GAIN, _ANY_GAIN = 5e-4, 0.25, 0.08, 0.5
 # Rounds in which a fit finds out which blocks show something else.
 _ROUNDS = 3
-# Of a large part, so many blocks tell which offsets are the likeliest, and so many how likely these are.
+# A large part's likeliest offsets are found by some of its blocks, and weighed by many.
 _SOME, _LIKELIEST, _MANY = 300, 4, 1200
 # Of a part's blocks, those whose orders may lie outside the pattern at either end; and how probably a part shows no
 # code.
 _STRAYS, _NO_CODE = 0.05, 0.1
 # Shifts of half a cell either way that are tried, which share of a cell is too far to be believed, and by how much
-# likelier one far off must be than no code at all.
+# likelier one far off must be than any other, and than no code at all.
 _SHIFTS, _MOST_SHIFT, _SURE_SHIFT = 13, 0.25, 20.0
 # Where much is tried of the largest parts, so many of their blocks are looked at.
 _FEW = 100
@@ -381,7 +381,9 @@ class CodeReader:
                 by_offset = likelihood[:-2].reshape(len(offsets), -1)
                 total += np.logaddexp.reduce(by_offset, axis=0) - np.log(len(offsets)) - np.logaddexp(*likelihood[-2:])
         total = totals[totals.max(axis=1).argmax()]
-        return _peak(shifts, total) if total.max() > _SURE_SHIFT else None
+        off = np.abs(shifts - shifts[total.argmax()])
+        elsewhere = total[np.minimum(off, self.code.repeats_px - off) > self.code.cell_px].max()
+        return _peak(shifts, total) if total.max() - max(elsewhere, 0.0) > _SURE_SHIFT else None
 
     def _move(self, shift_px: float) -> None:
         """Read the code so many px further along the stripe, from now on."""

@@ -1,7 +1,8 @@
 """Cut regions where the code contradicts them: several surfaces were joined across steps of whole cycles.
 
-What blocks show beside the code is taken from the region as if it were one part (`code_evidence`). Where the blocks in
-a window show another offset, its patches are labelled with that (`tikernels.order_evidence.offset_labelling`).
+A region is read as if it were one part (`code_evidence`), and what its surfaces have of their own is taken off. Where
+the blocks in a window then show another offset, its patches are labelled with it
+(`tikernels.order_evidence.offset_labelling`).
 """
 
 from typing import NamedTuple
@@ -117,7 +118,7 @@ def _held_by(owners: npt.NDArray[np.integer], regions: Integers) -> list[Integer
 
 
 class _Shown(NamedTuple):
-    """What a region's patches show of each offset."""
+    """The evidence of a region's patches for each offset."""
 
     evidence: OffsetEvidence
     own: int  # the region's offset, counted from the first one

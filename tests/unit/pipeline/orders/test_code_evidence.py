@@ -1,5 +1,6 @@
 """What blocks say of their part's offset, of the code itself and of where it lies."""
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -274,6 +275,16 @@ def test_no_shift_of_what_shows_no_code():
     reader = reader_of("contrast2", 10, 12, 20)
     reader.blocks.contrast[:] = np.random.default_rng(0).normal(0, 0.05, len(reader.blocks.order))
     assert reader.shift_anywhere() is None
+
+
+def test_no_shift_where_two_are_alike():
+    """Of all blocks only those are seen whose symbols are the same at both places."""
+    reader, other = (reader_of("contrast2", 24, 24, 10, shift_px=shift_px, noise=0.0) for shift_px in (16.0, 40.0))
+    alike = np.abs(reader.blocks.contrast - other.blocks.contrast) < 0.01
+    names = ("root", "order", "place", "contrast", "variance", "brightness", "off")
+    seen = replace(reader.blocks, **{name: getattr(reader.blocks, name)[alike] for name in names})
+    assert reader.shift_anywhere() == pytest.approx(16.0, abs=0.5)
+    assert CodeReader(seen, reader.code, code_and_columns("contrast2")[1]).shift_anywhere() is None
 
 
 def test_the_first_code_lies_nowhere():
