@@ -33,7 +33,9 @@ PERIOD_S = SETTINGS.timing.period_s
 
 @pytest.fixture
 def rendered_here(monkeypatch):
-    """Let there be two places, rendered in this process."""
+    """Let there be two places, rendered in this process, and the same noise each time."""
+    drawn = np.random.default_rng
+    monkeypatch.setattr(np.random, "default_rng", lambda seed=0: drawn(seed))
     monkeypatch.setattr(simulated_capture, "_PLACES", 2)
     monkeypatch.setattr(simulated_capture, "render_elsewhere", render_scene)
 
