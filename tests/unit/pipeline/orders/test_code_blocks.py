@@ -70,7 +70,7 @@ def test_cycles_that_borders_cut_are_put_together():
 
 @pytest.mark.parametrize(("low", "high"), [(-np.pi, 0.3), (-np.pi, -0.3), (-0.3, np.pi), (0.1, np.pi)])
 def test_cycles_of_which_a_part_is_seen(low, high):
-    """In one column of blocks: blur is undone as for the whole cycle, and how far off its middle they are is told."""
+    """Of a cut cycle blur is undone as of a whole one, and its distance from the cycle's middle is stated."""
     sums = sums_of()
     sums[1::2, :, 0] = sums_of(seen=(low, high))[1::2, :, 0]
     blocks = read(sums)
