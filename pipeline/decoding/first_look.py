@@ -20,7 +20,7 @@ from tikernels.phase.color_balance import WindowSum
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.surface_colors import color_ratios, common_colors, nearest_colors
-from tikernels.phase.surface_labels import LEAST_PX, Fringe
+from tikernels.phase.surface_labels import LEAST_PX, Lattice, average_light
 from tikernels.phase.surface_matrix import SurfaceSamples
 from tikernels.phase.surfaces import NO_SURFACE
 from tikernels.phase.wrapped_phase import LEAST_NO_PHASE
@@ -47,11 +47,8 @@ _SWING_CYCLES, _SWING_SIGMAS = 0.65, 5.0
 # How far the fringe's change is averaged for its contrast, in nodes, and the most that blur may take or leave, as a
 # logarithm.
 _CONTRAST_NODES, _MOST_LOST = 0.7, 0.2
-# Standard deviation of a pixel's contrast, as a fraction: ambient light is not quite even over a surface; and a code's
-# contrast, which goes in straight lines from cycle to cycle, is off its mean around where the lines meet.
-_UNEVEN, _CORNERS = 0.01, 0.05
-# Standard deviation of the logarithm of the contrast lost to blur, as a fraction of it, since lenses differ.
-_LOST_DOUBT = 0.6
+# The lattice has this many rows in a cycle, or up to twice as many.
+_ROWS_A_CYCLE = 5
 # No camera is better than this fraction of its light, or of that of a fiftieth of full scale.
 _LEAST_NOISE, _DARK = 2e-4, 0.02
 
@@ -92,7 +89,7 @@ class FirstLook:
     ) -> None:
         gains = model.gains
         self.device_image, self.gains, self.levels, self.correction = image, gains, levels, correction
-        self._model, self._crosstalk = model, crosstalk
+        self._model, self.crosstalk = model, crosstalk
         self._every = max(1, _NODE_SPACING_PX // gains.spacing_px)
         self.spacing_px = self._every * gains.spacing_px
         smooth = runtime.to_host(gains.smooth)
@@ -119,10 +116,21 @@ class FirstLook:
         return seen.reshape(-1, 3), balanced.reshape(-1, 3)
 
     @cached_property
+    def lattice(self) -> Lattice:
+        """Places all over the frame, one a node's column, and their light."""
+        rows = 1 << max(0, int(math.log2(self.gains.period_px / _ROWS_A_CYCLE)))
+        nodes = (self.contrast, self.spacing_px, self.levels)
+        seen = average_light(
+            self.device_image, self.gains, self.crosstalk, *nodes, rows, self.gains.spacing_px
+        )
+        light, contrast = (runtime.to_host(part) for part in seen)
+        return Lattice(light, contrast, rows, self.gains.spacing_px, self.gains.period_px)
+
+    @cached_property
     def around(self) -> FloatArray:
-        """(H, Wb) mean brightness around each sample, levels."""
+        """(h, w) mean brightness around each place, levels."""
         samples = np.maximum(self._smooth[..., WindowSum.SAMPLES], 1e-6)
-        return self._at_samples(self._smooth[..., WindowSum.BACKGROUND] / samples)
+        return np.asarray(self._at_places(self._smooth[..., WindowSum.BACKGROUND] / samples), np.float64)
 
     @cached_property
     def ambient(self) -> float:
@@ -163,20 +171,6 @@ class FirstLook:
         lost = np.where(known, 0.5 * VARIANCE_PX * (slopes - usual), 0)
         return np.asarray(np.exp(-np.clip(lost, -_MOST_LOST, _MOST_LOST)), np.float32)
 
-    def fringe(self, code_doubt: float) -> Fringe:
-        """Return how the fringe of each place differs from the template, given what a code makes of its contrast."""
-        doubt = self._contrast_doubt(_CORNERS if code_doubt > 0 else _UNEVEN)
-        return Fringe(doubt, code_doubt, self.contrast, self.spacing_px)
-
-    def _contrast_doubt(self, even: float) -> npt.NDArray[np.float32]:
-        """Return the standard deviation of a pixel's contrast around every node, given that where blur is the usual."""
-        return np.asarray(np.hypot(even, _LOST_DOUBT * np.log(self.contrast)), np.float32)
-
-    @cached_property
-    def contrast_around(self) -> FloatArray:
-        """(H, Wb) that around each sample."""
-        return self._at_samples(self.contrast)
-
     def common_colors(self) -> FloatArray:
         """Return the colours that many nodes have in common, (n, 3) ratios, the commonest first."""
         mean, square = (
@@ -189,12 +183,14 @@ class FirstLook:
         return common_colors(self.ratios[self.lit], weights, least)
 
     def labels(self, colors: FloatArray) -> _Labels:
-        """Return (H, W) uint8: which colour the node nearest to each pixel has, or NO_SURFACE."""
-        nodes = nearest_colors(self.ratios, colors).astype(np.uint8)
-        labels = repeated(nodes, self.spacing_px, (self.gains.height, self.gains.width))
-        labels[self.unlit()] = NO_SURFACE
+        """Return (h, w) uint8: which colour the node nearest to each place has, or NO_SURFACE."""
+        labels = self._at_places(nearest_colors(self.ratios, colors).astype(np.uint8), cv2.INTER_NEAREST)
+        rows, columns = (np.arange(n) for n in labels.shape)
+        columns = np.minimum(columns * self.lattice.columns + self.lattice.columns // 2, self.gains.width - 1)
+        labels[self.unlit[rows[:, None] * self.lattice.rows, columns]] = NO_SURFACE
         return labels
 
+    @cached_property
     def unlit(self) -> npt.NDArray[np.bool_]:
         """Return which pixels are dark, or show no fringe over most of a cycle, (H, W)."""
         part = np.ones((max(3, int(_SWING_CYCLES * self.gains.period_px)), 1), np.uint8)
@@ -204,12 +200,6 @@ class FirstLook:
         light = sum(channel.astype(np.float32) for channel in cv2.split(self.image))
         least = max(2 * self.levels.modulation, _SWING_SIGMAS * self.levels.noise)
         return np.asarray((light < 3 * self.levels.intensity) | (swing < least))
-
-    def sample_places(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-        """Return the rows and columns of the samples that gains are measured from; see `color_balance.py`."""
-        rows = np.arange(self.gains.height)[:, None]
-        columns = np.arange(self.gains.samples.shape[1]) * self.gains.spacing_px + (rows & 1) * self.gains.window.rows
-        return rows, np.minimum(columns, self.gains.width - 1)
 
     def some_samples(self, wanted: int) -> FloatArray:
         """Return the light of about as many samples as wanted that show a fringe, (N, 3) levels."""
@@ -225,7 +215,7 @@ class FirstLook:
             step += 1
         seen, balanced = samples[::step].astype(np.float64), balanced_samples[::step].astype(np.float64)
         contrast = self._contrast_at(np.arange(0, len(samples), step))
-        return seen, np.asarray(balanced @ self._crosstalk.weights.T.astype(np.float64)), contrast
+        return seen, np.asarray(balanced @ self.crosstalk.weights.T.astype(np.float64)), contrast
 
     def _contrast_at(self, samples: npt.NDArray[np.intp]) -> FloatArray:
         """Return what `contrast_around` has at some samples, without the others."""
@@ -236,11 +226,12 @@ class FirstLook:
         border = cv2.BORDER_REPLICATE
         return np.asarray(cv2.remap(self.contrast, *places, cv2.INTER_LINEAR, borderMode=border)[0], np.float64)
 
-    def _at_samples(self, values: npt.NDArray[np.floating]) -> FloatArray:
-        """Return values at nodes as values at samples."""
-        size = (values.shape[1] * self._every, values.shape[0] * self.spacing_px)
-        between = cv2.resize(np.ascontiguousarray(values), size, interpolation=cv2.INTER_LINEAR)
-        return np.asarray(between[: self.gains.height, : int(self.gains.samples.shape[1])], np.float64)
+    def _at_places(self, values: npt.NDArray[Any], how: int = cv2.INTER_LINEAR) -> npt.NDArray[Any]:
+        """Return values at nodes as values at the lattice's places."""
+        (height, width), rows = self.lattice.contrast.shape, self.spacing_px // self.lattice.rows
+        size = (values.shape[1] * self._every, values.shape[0] * rows)
+        between = cv2.resize(np.ascontiguousarray(values), size, interpolation=how)
+        return np.ascontiguousarray(between[:height, :width])
 
     def _correction_at(self, phase: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
         """Return what to add to bare phases, rad; several times as fast as `np.interp`."""
@@ -253,38 +244,31 @@ class FirstLook:
         self,
         light: FloatArray,
         around: FloatArray,
+        contrast: FloatArray,
         weights: FloatArray,
         ambient: FloatArray,
+        share: FloatArray,
         contrast_doubt: float,
-        contrast: FloatArray | None = None,
     ) -> SurfaceSamples:
-        """Return pixels of one surface, with the phase that the arctangent gives them.
+        """Return places of n surfaces, with the phase that the arctangent gives them.
 
         Parameters
         ----------
-        light : (N, 3)
+        light : (n, S, 3)
             The camera's, levels.
-        around : (N,)
-            Mean brightness around, levels.
-        weights : (3, 3)
-            Takes the surface's channels to b cos(phi), b sin(phi) and a.
-        ambient : (3,)
-            Its ambient light, levels.
-        contrast_doubt, contrast
+        around, contrast, share, contrast_doubt
             See `SurfaceSamples`.
+        weights : (n, 3, 3)
+            Takes each surface's channels to b cos(phi), b sin(phi) and a.
+        ambient : (n, 3)
+            Its ambient light, levels.
         """
-        vector = (light - ambient) @ weights.T
-        bare = np.arctan2(vector[:, 1], vector[:, 0])
+        vector = (light - ambient[:, None]) @ weights.swapaxes(1, 2)
+        bare = np.arctan2(vector[..., 1], vector[..., 0])
         noise = self.levels.read_noise**2 + self.levels.noise_gain * np.maximum(light, 0)
         least = _LEAST_NOISE * np.maximum(light, _DARK * self.levels.white)
-        return SurfaceSamples(
-            light,
-            noise + least**2,
-            bare + self._correction_at(bare),
-            np.maximum(around, 1e-9),
-            contrast_doubt,
-            contrast,
-        )
+        phase, around = bare + self._correction_at(bare), np.maximum(around, 1e-9)
+        return SurfaceSamples(light, noise + least**2, phase, around, contrast, share, contrast_doubt)
 
 
 def _smoothed_across(sums: npt.NDArray[np.floating], sigma: float) -> npt.NDArray[np.floating]:
@@ -292,8 +276,3 @@ def _smoothed_across(sums: npt.NDArray[np.floating], sigma: float) -> npt.NDArra
     near = cv2.GaussianBlur(sums, (1, 2 * math.ceil(3 * sigma) + 1), 0, sigmaY=sigma, borderType=cv2.BORDER_CONSTANT)
     above = near[::2]
     return np.asarray(above + near[np.minimum(2 * np.arange(len(above)) + 1, len(near) - 1)])
-
-
-def repeated(values: npt.NDArray[Any], step: int, shape: tuple[int, ...]) -> npt.NDArray[Any]:
-    """Return values of every `step`th pixel both ways as those of all."""
-    return np.ascontiguousarray(values.repeat(step, axis=0).repeat(step, axis=1)[: shape[0], : shape[1]])

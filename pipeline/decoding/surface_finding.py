@@ -13,7 +13,7 @@ from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.phase_vector import channel_delays, phase_weights
 from tikernels.phase.surface_colors import color_ratios
-from tikernels.phase.surface_matrix import BETWEEN, BROAD, band_weights, predict_matrices, residuals
+from tikernels.phase.surface_matrix import BETWEEN, BROAD, LightDoubt, band_weights, predict_matrices, residuals
 
 # A frame whose colours are this close to white, as logarithms of ratios, has nothing to undo.
 _NEUTRAL = 0.05
@@ -122,9 +122,11 @@ class SurfaceFinder:
             np.asarray(white, np.float64),
             light,
             crosstalk.lag,
-            leak=_UNKNOWN_LEAK if self._white is None else _LEAK,
-            contrast=_KNOWN_CONTRAST if template_known else _SEEN_CONTRAST,
-            harmonic=_KNOWN_HARMONIC if template_known else _SEEN_HARMONIC,
+            LightDoubt(
+                leak=_UNKNOWN_LEAK if self._white is None else _LEAK,
+                contrast=_KNOWN_CONTRAST if template_known else _SEEN_CONTRAST,
+                harmonic=_KNOWN_HARMONIC if template_known else _SEEN_HARMONIC,
+            ),
             contrast_doubt=self._contrast_doubt,
             bands=self._bands,
         )
@@ -137,7 +139,10 @@ class SurfaceFinder:
         color = light.mean(axis=0)
         ambient = np.minimum(look.ambient * 3 * color / color.sum(), 0.5 * color)
         weights = phase_weights(np.asarray(np.linalg.inv(known.matrix), np.float64), known.lag) / color
-        samples = look.surface_samples(light, np.ones(len(light)), weights, ambient, self._contrast_doubt)
+        even = np.ones((1, len(light)))
+        samples = look.surface_samples(
+            light[None], even, even, weights[None], ambient[None], np.ones(1), self._contrast_doubt
+        )
 
         seen, white = (color - ambient)[None], known.matrix * known.white[:, None]
         matrices = np.concatenate([predict_matrices(seen, white, bands) for bands in (BROAD, known.bands)])

@@ -11,16 +11,26 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.decoding.first_look import FirstLook, repeated
+from pipeline.decoding.first_look import FirstLook
 from pipeline.models import FloatArray
 from tikernels.phase.channel_template import known_template
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.phase_vector import phase_weights
 from tikernels.phase.surface_colors import color_ratios, color_word, common_colors, nearest_colors
-from tikernels.phase.surface_labels import LEAST_PX, Relabelled, relabel, surface_misfits
+from tikernels.phase.surface_labels import (
+    LEAST_PX,
+    NeutralLight,
+    Relabelled,
+    average_light,
+    cells_of_pixels,
+    choose_surfaces,
+    relabel,
+    surface_misfits,
+)
 from tikernels.phase.surface_matrix import (
     BROAD,
     FittedMatrices,
+    LightDoubt,
     PredictedMatrices,
     SurfaceSamples,
     fit_matrices,
@@ -31,18 +41,20 @@ _Labels = npt.NDArray[np.uint8]
 _Mask = npt.NDArray[np.bool_]
 _Complexes = npt.NDArray[np.complex128]
 
-# Pixels of each surface that are asked: at least, and at most; those near its edges, where the other side's light is
-# blurred in, only if the inside has fewer than the second.
-_LEAST_SAMPLES, _FEW_SAMPLES, _MOST_SAMPLES = 60, 200, 1500
+# Places of each surface that are asked; those near its edges, where the other side's light is blurred in, only if the
+# inside has fewer than the second; and a surface has at least the third.
+_SAMPLES, _FEW_SAMPLES, _LEAST_SAMPLES = 300, 60, 20
 _MARGIN_PX = 17
-# Turns at the most; the first of these tell the common light, too; the last make no new surfaces; new ones a turn.
-_TURNS, _OF_LIGHT, _LAST, _NEW = 6, 2, 2, 3
-# While it goes on, every second pixel is looked at, both ways.
-_STEP_PX = 2
-# The search ends once fewer pixels than this share change.
+# They are spread evenly: the golden section, whose multiples come nowhere near each other.
+_GOLDEN = 0.6180339887498949
+# Turns at the most; the first of these tell the common light, too; the last makes no new surfaces; new ones a turn.
+_TURNS, _OF_LIGHT, _NEW = 4, 2, 3
+# Newton's steps in the first turn, and in all others.
+_FIRST_STEPS, _STEPS = 2, 1
+# The search ends once fewer places than this share change.
 _SETTLED = 0.005
-# Pixels that no surface explains are looked at anew in the next frame if they are more by this factor.
-_MORE = 1.5
+# Surfaces at the most.
+_MOST = 16
 # A surface whose pixels are off its model by more than this fraction does not fit them, unless the frame began with it.
 _UNFIT = 0.02
 # If the largest surface is off by more than this, the search has failed. Demosaicking and JPEG make up to 0.03, where
@@ -57,8 +69,6 @@ _PHASE_OF_LIGHT = 2.0
 _COLOR_CYCLES = 1.0
 # The width of an edge between two colours, px.
 _EDGE_PX = 13
-# Samples are means over this many pixels along the stripes: the noise of single pixels biases the fitted matrices.
-_SAMPLE_PX = 5
 # A matrix makes of a pixel's light what is there but for this fraction.
 _MODEL_ERROR = 0.01
 # Ambient light is at most this share of a surface's.
@@ -77,12 +87,8 @@ class KnownLight:
     """(3, harmonics) of the projector's light over its mean, from the first on."""
     lag: FloatArray | None
     """(3,) rad; see `channel_delays`."""
-    leak: float
-    """Standard deviation of a matrix entry on white, as a fraction of its row."""
-    contrast: float
-    """Standard deviation of the light's contrast apart from what blur takes, as a fraction."""
-    harmonic: float
-    """How far a harmonic of the light may be off, besides contrast and blur, as a fraction of the first."""
+    doubt: LightDoubt
+    """How well it is known."""
     contrast_doubt: float
     """Standard deviation of a pixel's contrast by the pattern's code, as a fraction."""
     bands: FloatArray
@@ -92,7 +98,7 @@ class KnownLight:
         """Return one cycle of a neutral surface's channels."""
         return known_template(self.matrix, np.concatenate([np.ones((3, 1)), light / 2], axis=1))
 
-    def crosstalk(self, matrices: FloatArray, labels: _Labels, ambient: FloatArray) -> Crosstalk:
+    def crosstalk(self, matrices: FloatArray, labels: _Labels | None, ambient: FloatArray) -> Crosstalk:
         """Return the crosstalk with these surfaces, their neutral channels scaled to the same noise."""
         unmixing = np.asarray(np.linalg.inv(self.matrix), np.float64)
         mixing, waves = matrices @ unmixing, phase_weights(unmixing)[:2]
@@ -115,8 +121,6 @@ class FoundSurfaces:
     mismatch: float
     """How far the channels' fundamentals are from what the crosstalk on white makes of the colour, as a fraction, on
     the surface that is most like white: saturated paints are further off."""
-    unexplained: int
-    """Pixels that none of them explains."""
     odd: "NoModelFits | None" = None
     """Surfaces that their own matrices do not explain, as fluorescent ones."""
 
@@ -149,14 +153,6 @@ class NoModelFits(NamedTuple):
         return _PHASE_OF_LIGHT * self.misfit
 
 
-class _Means(NamedTuple):
-    """Mean light around N pixels."""
-
-    light: FloatArray  # (N, 3) levels
-    pixels: FloatArray  # (N,) how many
-    contrast: FloatArray  # (N,) by which the mean multiplies the fringe's first harmonic
-
-
 class SurfaceSearch:
     """The surfaces of a frame as they are known so far.
 
@@ -166,56 +162,51 @@ class SurfaceSearch:
         The frame.
     known : KnownLight
         What is known of the light.
-    labels : (H, W) uint8
-        The surfaces to begin with.
+    labels : (h, w) uint8
+        The surfaces to begin with, at the places of the frame's lattice.
     colors : (n, 3)
         What the camera sees of them, up to a factor.
     """
 
     def __init__(self, look: FirstLook, known: KnownLight, labels: _Labels, colors: FloatArray) -> None:
-        self._look, self._known = look, known
+        self._look, self._known, self._lattice = look, known, look.lattice
         self._labels, self._colors = labels, colors
         self._ambient: FloatArray | None = None  # (n, 3) levels
-        self._light = known.light
+        self._fitted: FittedMatrices | None = None  # of the first of these surfaces
         self._bands = [known.bands, BROAD]  # where colours act; those that are still possible
         # Which surfaces need not fit: those that the frame began with, and those that have not been fitted yet.
         self._first = self._spared = np.ones(len(colors), bool)
-        # Places where no new surface is looked for: pixels of an edge see two of them, and no matrix explains that;
-        # and those where a new surface has been dropped. A first surface that is dropped may be a mixture of others, so
-        # its place stays open.
-        self._tried = _near_edges(labels, _EDGE_PX)
-        self._random = np.random.default_rng(0)
+        # Places where no new surface is looked for: those at an edge see two of them, and no matrix explains that; and
+        # those where a new surface has been dropped. A first surface that is dropped may be a mixture of others, so its
+        # place stays open.
+        self._tried = self._near_edges(_EDGE_PX)
 
     def run(self, first_turn: int = 0) -> FoundSurfaces | NoModelFits | None:
         """Look for the surfaces; None: there is but one, which acts as the balance alone undoes."""
-        turn, settled = first_turn, False
-        while True:
+        settled = False
+        for turn in range(first_turn, _TURNS):
             ends = settled or turn == _TURNS - 1
             fitted = self._fit(turn, ends=ends)
             if fitted is None:
                 return None
-            turn += 1
+            before, new = self._labels, self._relabel(fitted)
+            fitted = self._keep(new, fitted)
             if ends:
-                last = self._relabel(fitted, 1)
-                return self._found(self._keep(last, fitted), last.unexplained)
-            before = self._labels
-            new = self._relabel(fitted, _STEP_PX)
-            self._keep(new, fitted)
-            settled = turn > _OF_LIGHT and bool(np.mean(before != new.labels) < _SETTLED)
-            if _OF_LIGHT <= turn <= _TURNS - _LAST:
+                break
+            settled = turn >= _OF_LIGHT and bool(np.mean(before != new.labels) < _SETTLED)
+            if turn >= _OF_LIGHT - 1:
                 settled &= not self._add(new.unexplained & ~self._tried)
+        return self._found(new, fitted)
 
     def follow(self, before: FoundSurfaces) -> FoundSurfaces | NoModelFits | None:
-        """Look for the surfaces of the frame before, and for new ones if more is left unexplained than there."""
-        new = self._relabel(before.fitted, 1, afresh=True)
-        fitted = self._keep(new, before.fitted)
-        self._tried |= _near_edges(self._labels, _EDGE_PX)
-        unexplained = new.unexplained & ~self._tried
-        if np.count_nonzero(unexplained) > _MORE * before.unexplained + LEAST_PX and self._add(unexplained):
-            return self.run(_OF_LIGHT)
-        return self._found(fitted, new.unexplained)
+        """Look for the surfaces of a frame that begin as those of the frame before."""
+        new = self._relabel(before.fitted, afresh=True)
+        self._keep(new, before.fitted)
+        self._tried |= self._near_edges(_EDGE_PX)
+        self._add(new.unexplained & ~self._tried)
+        return self.run(_OF_LIGHT)
 
-    def _found(self, fitted: FittedMatrices, unexplained: _Mask) -> FoundSurfaces | NoModelFits:
+    def _found(self, new: Relabelled, fitted: FittedMatrices) -> FoundSurfaces | NoModelFits:
         """Return the surfaces, unless the largest is far from fitting, as with a calibration that is not this rig's."""
         sizes = np.bincount(self._labels.ravel(), minlength=NO_SURFACE)[: len(fitted.matrices)]
         shares, largest = sizes / max(sizes.sum(), 1), sizes.argmax()
@@ -228,13 +219,29 @@ class SurfaceSearch:
         odd = NoModelFits(float(fitted.misfit[strange].max(initial=0)), float(shares[strange].sum()), color)
         whitest = np.abs(ratios).max(axis=1).argmin()
         return FoundSurfaces(
-            self._known.crosstalk(fitted.matrices, self._labels, fitted.ambient),
+            self._known.crosstalk(fitted.matrices, self._of_pixels(new, fitted), fitted.ambient),
             self._known.template(fitted.light),
             fitted,
             float(fitted.mismatch[whitest]),
-            int(np.count_nonzero(unexplained & ~self._tried)),
             odd if odd.share > _ODD_SHARE else None,
         )
+
+    def _of_pixels(self, new: Relabelled, fitted: FittedMatrices) -> _Labels:
+        """Return which surface each pixel shows, (H, W): that of the places around, or where these differ its own."""
+        look, lattice, (height, width) = self._look, self._lattice, self._look.unlit.shape
+        rows, columns = lattice.rows, lattice.columns
+        shown = np.where(new.labels == NO_SURFACE, 0, new.labels + 1).astype(np.uint8)
+        near = cv2.dilate(shown, lattice.square(2 * columns))
+        nearest = np.maximum(np.where(shown == 0, near, shown), 1) - 1
+        labels = nearest.repeat(rows, axis=0)[:height].repeat(columns, axis=1)[:, :width]
+        labels = np.where(look.unlit, NO_SURFACE, labels).astype(np.uint8)
+        if len(fitted.matrices) > 1:
+            cells = cells_of_pixels(lattice, new.labels, (height, width))
+            nodes = (look.contrast, look.spacing_px, look.levels)
+            seen = average_light(look.device_image, look.gains, look.crosstalk, *nodes, 1, 1, 0, cells)
+            neutral, doubt = self._neutral(fitted), self._known.contrast_doubt
+            choose_surfaces(*seen, cells, neutral, look.levels, doubt, lattice, new.around, labels)
+        return labels
 
     def _fit(self, turn: int, *, ends: bool) -> FittedMatrices | None:
         """Fit the surfaces' matrices; None if the frame's only surface acts as the balance alone undoes.
@@ -242,136 +249,104 @@ class SurfaceSearch:
         Noise tells surfaces apart best; in the end it is the model that is wrong by more.
         """
         look, known = self._look, self._known
-        numbers, samples = self._samples()
-        if not numbers:
+        chosen = self._chosen()
+        if not chosen:
             return None
-        self._renumber(numbers)
+        self._renumber(list(chosen))
+        samples = self._samples(list(chosen.values()))
         if ends:
-            samples = [replace(s, variance=s.variance + (_MODEL_ERROR * s.light) ** 2) for s in samples]
-        level = np.array([surface.light.mean(axis=0) for surface in samples])
+            samples = replace(samples, variance=samples.variance + (_MODEL_ERROR * samples.light) ** 2)
+        level = samples.light.mean(axis=1)
         colors, white = self._colors, known.matrix * known.white[:, None]
         expected = np.minimum(look.ambient * 3 * colors / colors.sum(axis=1, keepdims=True), _MOST_AMBIENT * level)
         if self._ambient is None:
             self._ambient = expected
             colors = np.maximum(level - expected, 1e-6)
-        tell_light = turn < _OF_LIGHT
         results = [
             fit_matrices(
                 samples,
                 PredictedMatrices.of(colors, white, bands),
                 expected,
                 self._ambient,
-                known.light if tell_light else self._light,
-                known.leak,
-                known.contrast,
-                known.harmonic,
-                fit_light=tell_light,
+                known.light,
+                known.doubt,
+                self._fitted,
+                fit_light=turn < _OF_LIGHT,
+                steps=_FIRST_STEPS if turn == 0 else _STEPS,
             )
             for bands in self._bands
         ]
         best = int(np.argmin([result.cost for result in results]))
-        if len(samples) == 1 and self._bands[best] is BROAD:
+        if len(level) == 1 and self._bands[best] is BROAD:
             return None
         self._bands = [self._bands[best]]
         return results[best]
 
-    def _samples(self) -> tuple[list[int], list[SurfaceSamples]]:
-        """Return pixels of every surface that has enough of them, and its number."""
-        look, known = self._look, self._known
-        rows, columns = look.sample_places()
-        labels, inside = self._labels[rows, columns], ~_near_edges(self._labels, _MARGIN_PX)[rows, columns]
-        clear = look.image[rows, columns].max(axis=-1) < look.levels.clipped
-        weights = phase_weights(np.asarray(np.linalg.inv(known.matrix), np.float64), known.lag)
-        numbers, samples = [], []
-        for surface, color in enumerate(self._colors):
+    def _chosen(self) -> dict[int, npt.NDArray[np.intp]]:
+        """Return places of every surface that has enough of them, by its number."""
+        clear, inside = self._lattice.says.ravel(), ~self._near_edges(_MARGIN_PX).ravel()
+        labels, chosen = self._labels.ravel(), {}
+        for surface in range(len(self._colors)):
             own = clear & (labels == surface)
             places = np.flatnonzero(own & inside)
             if len(places) < _FEW_SAMPLES:
                 places = np.flatnonzero(own)
-            if len(places) < _LEAST_SAMPLES:
-                continue
-            if len(places) > _MOST_SAMPLES:
-                places = self._random.permutation(places)[:_MOST_SAMPLES]
-            ambient = np.zeros(3) if self._ambient is None else self._ambient[surface]
-            own_weights, doubt = weights / color, known.contrast_doubt
-            where = (rows[places // labels.shape[1], 0], columns.ravel()[places])
-            means = self._averaged(surface, *where, own_weights, ambient)
-            around = look.around.ravel()[places]
-            contrast = means.contrast * look.contrast_around.ravel()[places]
-            numbers.append(surface)
-            own_samples = look.surface_samples(means.light, around, own_weights, ambient, doubt, contrast)
-            samples.append(replace(own_samples, variance=own_samples.variance / means.pixels[:, None]))
-        return numbers, samples
+            if len(places) >= _LEAST_SAMPLES:
+                chosen[surface] = places
+        return chosen
 
-    def _averaged(
-        self,
-        surface: int,
-        rows: npt.NDArray[np.intp],
-        columns: npt.NDArray[np.intp],
-        weights: FloatArray,
-        ambient: FloatArray,
-    ) -> "_Means":
-        """Return the means around some of a surface's pixels, over neighbours along the image's rows.
+    def _samples(self, chosen: list[npt.NDArray[np.intp]]) -> SurfaceSamples:
+        """Return as many places of every surface, given all that it has."""
+        look, known, lattice = self._look, self._known, self._lattice
+        spread = np.arange(_SAMPLES) * _GOLDEN % 1
+        places = np.stack([own[(spread * len(own)).astype(np.intp)] for own in chosen])
+        share = np.minimum(1, [len(own) / _SAMPLES for own in chosen])
+        ambient = np.zeros((len(chosen), 3)) if self._ambient is None else self._ambient
+        light = lattice.light.reshape(-1, 3)[places].astype(np.float64)
+        contrast = lattice.contrast.ravel()[places].astype(np.float64)
+        weights = phase_weights(np.asarray(np.linalg.inv(known.matrix), np.float64), known.lag)
+        around = (look.around.ravel()[places], contrast)
+        weights = weights / self._colors[:, None]
+        return look.surface_samples(light, *around, weights, ambient, share, known.contrast_doubt)
 
-        Only pixels of the same surface that are not clipped count. Where stripes are tilted against the rows, the mean
-        lowers the fringe's contrast.
-        """
-        reach = _SAMPLE_PX - 1
-        near = columns[:, None] + np.arange(-reach, reach + 1)
-        near = np.clip(near, 0, self._labels.shape[1] - 1)
-        light = self._look.image[rows[:, None], near].astype(np.float64)
-        own = (self._labels[rows[:, None], near] == surface) & (light.max(axis=-1) < self._look.levels.clipped)
-        vector = ((light - ambient) @ weights[:2].T) @ np.array([1, 1j])
-        slope = np.angle((vector[:, 1:] * vector[:, :-1].conj() * (own[:, 1:] & own[:, :-1])).sum(axis=1))
-        half = slice(reach - _SAMPLE_PX // 2, reach + _SAMPLE_PX // 2 + 1)
-        light, own = light[:, half], own[:, half]
-        count = own.sum(axis=1)
-        # A phase that is linear over n pixels has the variance slope^2 (n^2 - 1) / 12.
-        contrast = np.exp(-(slope**2) * (count**2 - 1) / 24)
-        return _Means(np.einsum("nkc,nk->nc", light, own) / count[:, None], count.astype(np.float64), contrast)
+    def _neutral(self, fitted: FittedMatrices) -> NeutralLight:
+        known = self._known
+        return NeutralLight.of(known.crosstalk(fitted.matrices, None, fitted.ambient), known.template(fitted.light))
 
-    def _relabel(self, fitted: FittedMatrices, step: int, *, afresh: bool = False) -> Relabelled:
-        """Give every pixel to the surface that explains it best, looking at one of `step` both ways."""
-        look, known = self._look, self._known
-        crosstalk = known.crosstalk(fitted.matrices, self._labels, fitted.ambient)
-        model = (crosstalk, look.levels, look.correction, known.template(fitted.light))
-        fringe, period_px = look.fringe(known.contrast_doubt), look.gains.period_px
-        misfits = surface_misfits(look.device_image, *model, fringe, period_px, step)
+    def _relabel(self, fitted: FittedMatrices, *, afresh: bool = False) -> Relabelled:
+        """Give every place to the surface that explains it best."""
+        lattice, levels, doubt = self._lattice, self._look.levels, self._known.contrast_doubt
+        misfits = surface_misfits(lattice, self._neutral(fitted), levels, doubt)
         fits = (fitted.misfit < _UNFIT) | self._spared
-        known_so_far = (self._labels[::step, ::step], fits, self._first)
-        new = relabel(misfits, *known_so_far, period_px, step, afresh=afresh)
-        if step == 1:
-            return new
-        shape = self._labels.shape
-        labels = np.where(self._labels == NO_SURFACE, NO_SURFACE, repeated(new.labels, step, shape))
-        return Relabelled(labels, new.kept, repeated(new.unexplained, step, shape))
+        return relabel(lattice, misfits, self._labels, fits, self._first, afresh=afresh)
 
     def _keep(self, new: Relabelled, fitted: FittedMatrices) -> FittedMatrices:
         """Go on with what has proved to be a surface, and return that."""
         in_vain = [k for k in np.flatnonzero(~self._first) if k not in new.kept]
         self._tried = self._tried | np.isin(self._labels, in_vain)
-        kept = fitted.only(new.kept)
-        self._labels, self._light, self._ambient = new.labels, kept.light, kept.ambient
+        self._fitted = kept = fitted.only(new.kept)
+        self._labels, self._ambient = new.labels, kept.ambient
         self._colors = kept.matrices.sum(axis=2)
         self._first = self._spared = self._first[new.kept]
         return kept
 
     def _add(self, unexplained: _Mask) -> bool:
-        """Make new surfaces of pixels that none explains; return whether there are any."""
-        if np.count_nonzero(unexplained) < LEAST_PX or self._ambient is None:
+        """Make new surfaces of places that none explains; return whether there are any."""
+        lattice, count = self._lattice, len(self._colors)
+        least = LEAST_PX / lattice.pixels
+        if np.count_nonzero(unexplained) < least or self._ambient is None:
             return False
-        image, count = self._look.image, len(self._colors)
-        sigma = _COLOR_CYCLES * self._look.gains.period_px
-        seen = np.where(unexplained[..., None], image, 0).astype(np.float32)
-        share = cv2.GaussianBlur(unexplained.astype(np.float32), (0, 0), sigma)[..., None]
-        ratios = color_ratios((cv2.GaussianBlur(seen, (0, 0), sigma) / np.maximum(share, 1e-6))[unexplained])
-        centers = common_colors(ratios[::4], np.ones(len(ratios[::4])), LEAST_PX / 4)[:_NEW]
+        sigma = _COLOR_CYCLES * lattice.period_px
+        share = lattice.blurred(unexplained, sigma)[..., None]
+        seen = lattice.blurred(np.where(unexplained[..., None], lattice.light, 0), sigma)
+        ratios = color_ratios((seen / np.maximum(share, 1e-6))[unexplained])
+        centers = common_colors(ratios, np.ones(len(ratios)), least)[: min(_NEW, _MOST - count)]
         nearest = nearest_colors(ratios, centers)
-        places = [_largest_part(unexplained, nearest == k) for k in range(len(centers))]
-        places = [place for place in places if np.count_nonzero(place) >= LEAST_PX]
+        places = [_largest_part(unexplained, nearest == k, least) for k in range(len(centers))]
+        places = [place for place in places if np.count_nonzero(place) >= least]
         if not places:
             return False
-        light = np.array([image[place].mean(axis=0) for place in places])
+        light = np.array([lattice.light[place].mean(axis=0) for place in places], np.float64)
         ambient = np.minimum(np.median(self._ambient, axis=0), _MOST_AMBIENT * light)
         self._labels = self._labels.copy()
         for number, place in enumerate(places, count):
@@ -383,7 +358,7 @@ class SurfaceSearch:
         return True
 
     def _renumber(self, numbers: list[int]) -> None:
-        """Drop the surfaces that have no pixels to speak of."""
+        """Drop the surfaces that have no places to speak of."""
         if len(numbers) == len(self._colors):
             return
         table = np.zeros(NO_SURFACE + 1, np.uint8)
@@ -393,10 +368,17 @@ class SurfaceSearch:
         self._spared, self._first = self._spared[numbers], self._first[numbers]
         if self._ambient is not None:
             self._ambient = self._ambient[numbers]
+        if self._fitted is not None:
+            self._fitted = self._fitted.only([k for k in numbers if k < len(self._fitted.matrices)])
+
+    def _near_edges(self, width_px: int) -> _Mask:
+        """Return which places have others around, in a square, that show another surface."""
+        square = self._lattice.square(width_px)
+        return np.asarray(cv2.dilate(self._labels, square) != cv2.erode(self._labels, square))
 
 
-def _largest_part(mask: _Mask, chosen: _Mask) -> _Mask:
-    """Return what hangs together of the chosen ones of a mask's pixels, the largest such part: it is of one surface.
+def _largest_part(mask: _Mask, chosen: _Mask, least: float) -> _Mask:
+    """Return what hangs together of the chosen ones of a mask's places, the largest such part: it is of one surface.
 
     All of them, if none is large enough for a surface.
     """
@@ -404,12 +386,6 @@ def _largest_part(mask: _Mask, chosen: _Mask) -> _Mask:
     all_of_them[mask] = chosen
     _, parts, sizes, _ = cv2.connectedComponentsWithStats(all_of_them, connectivity=4)
     areas = sizes[1:, cv2.CC_STAT_AREA]
-    if len(areas) == 0 or areas.max() < LEAST_PX:
+    if len(areas) == 0 or areas.max() < least:
         return np.asarray(all_of_them > 0)
     return np.asarray(parts == 1 + areas.argmax())
-
-
-def _near_edges(labels: _Labels, width_px: int) -> _Mask:
-    """Return which pixels have others around, in a square, that show another surface."""
-    square = np.ones((width_px, width_px), np.uint8)
-    return np.asarray(cv2.dilate(labels, square) != cv2.erode(labels, square))

@@ -1,28 +1,34 @@
-"""Which surface each pixel shows: the one whose matrix leaves the least over.
+"""Which surface each place shows: the one whose matrix leaves the least over.
 
 A pixel's three channels have two unknowns, brightness and phase; the misfit that is left under each surface's matrix
-(`phase_fit.residual_of`) tells the surfaces apart, sharper than any mean colour, which the fringe goes through. At some
-phases two surfaces look alike: misfits are averaged over a few pixels, which keeps edges sharp, and over a good part of
-a cycle.
+tells the surfaces apart, sharper than any mean colour, which the fringe goes through. With x, y and a the pixel's
+b cos(phi), b sin(phi) and background as if its surface were neutral, it is
+
+    left = |(x, y)| - a rho,
+
+rho the contrast that the projector's light has at the bare phase of (x, y). At some phases two surfaces look alike:
+misfits are averaged over a few pixels, which keeps edges sharp, and over a good part of a cycle.
+
+Light is looked at as means over a few pixels along the stripes, at the places of a lattice of some rows a cycle; pixels
+themselves are asked only where several surfaces meet.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from tikernels import checks, runtime
-from tikernels._taichi import AnyArray3, F32Array1, F32Array2, F32Array3, U8Array2, f32, i32, ti, vec3
-from tikernels.arrays import F32, LevelsImage
+from tikernels._taichi import AnyArray3, F32Array1, F32Array2, F32Array3, I32Array2, U8Array2, f32, i32, ti, vec3
+from tikernels.arrays import F32, I32, U8, LevelsImage
 from tikernels.launching import kernel
-from tikernels.phase.channel_template import blurred, cycle_and_slope, load_harmonics
-from tikernels.phase.crosstalk import Crosstalk
-from tikernels.phase.equalization import equalized
+from tikernels.phase.channel_template import channel_harmonics
+from tikernels.phase.color_balance import Gains, gain_at
+from tikernels.phase.crosstalk import Crosstalk, weighed_vector
 from tikernels.phase.frame_statistics import FrameLevels
-from tikernels.phase.phase_fit import residual_of
-from tikernels.phase.phase_vector import arctangent, color_at, matrix_of
-from tikernels.phase.surfaces import NO_SURFACE, shows_surface, surface_ambient, surface_matrix
+from tikernels.phase.phase_vector import arctangent, color_at, matrix_of, modulation_of
+from tikernels.phase.surfaces import NO_SURFACE, surface_ambient, surface_matrix
 from tikernels.raw.linearization import LEVEL_TYPES
 from tikernels.strips import strip_count
 
@@ -32,22 +38,36 @@ _Mask = npt.NDArray[np.bool_]
 
 # A model is no better than this fraction of a pixel's light, and of the ambient light.
 _MODEL_ERROR, _AMBIENT_ERROR = 0.009, 0.04
-# A pixel that fits no surface counts no more than this against one, and less where a whole neighbourhood is judged.
+# Standard deviation of the logarithm of the contrast lost to blur, as a fraction of it, since lenses differ; and of a
+# place's contrast: ambient light is not quite even over a surface.
+_LOST_DOUBT, _UNEVEN = 0.6, 0.01
+# A code's contrast, which goes in straight lines from cycle to cycle, is off its mean around where the lines meet.
+_CORNERS = 0.05
+# A place that fits no surface counts no more than this against one, and less where a whole neighbourhood is judged.
 _MOST, _MOST_AROUND = 16.0, 4.0
-# Pixels that a thread looks at together, as the vector units of a CPU do.
-_PIXELS_AT_ONCE = 16
-_lanes = ti.types.vector(_PIXELS_AT_ONCE, ti.f32)
+# Pixels on either side in a mean, along the stripes: the noise of single ones biases the fitted matrices.
+REACH_PX = 2
+# Places that a thread looks at together, as the vector units of a CPU do; and rows of a cell of so many columns.
+_AT_ONCE, _CELL_ROWS = 16, 8
+_lanes = ti.types.vector(_AT_ONCE, ti.f32)
+# So many pixels beside these count for them.
+_BESIDE = 4
+_wide_lanes = ti.types.vector(_AT_ONCE + 2 * _BESIDE, ti.f32)
+# Places of the cycle in the table of the light's contrast.
+_BINS = 256
 # A code's contrast is told by what is around, a Gaussian in cycles; residuals count in full up to this many standard
 # deviations.
 _CODE_CYCLES, _TRUSTED = 0.25, 3.0
-# The residual of a pixel that is clipped, or shows no surface.
-_SAYS_NOTHING = 1e3
-# Gaussians that misfits are averaged over: px along the stripes and across them; cycles, and how much that one counts.
-_NEAR_PX = (2.0, 1.6)
+# The light of a place that says nothing, and what is left of it.
+_SAYS_NOTHING = -1e9
+# Gaussians that misfits are averaged over: px across the stripes, and along them where pixels are asked; cycles, and how much that one counts.
+_NEAR_PX, _ALONG_PX = 1.6, 2.0
 _AROUND_CYCLES, _AROUND = 0.4, 0.5
-# A whole neighbourhood, in cycles; and how far wide averages are computed on a coarser grid, px.
+_ALONE = np.ones(1)
+# A whole neighbourhood, in cycles.
 _NEIGHBOURHOOD_CYCLES = 0.85
-_GRID_PX = 4
+# So far from an edge between two places pixels are asked, px.
+_EDGE_PX = 8
 # A surface of fewer pixels is none, and neither is one whose pixels another explains as well, but for this much; or if
 # its own model does not fit them, for the second.
 LEAST_PX = 400
@@ -59,281 +79,473 @@ _UNEXPLAINED, _UNEXPLAINED_AROUND, _UNUSUAL = 3.0, 1.4, 1.6
 _OPENING_PX, _OPENING_CYCLES = 7, 1.5
 
 
-class Fringe(NamedTuple):
-    """How the fringe of each place differs from the template."""
+class Lattice(NamedTuple):
+    """Places of a frame, rows and columns apart, and the light around each."""
 
-    contrast_doubt: npt.NDArray[np.float32]
-    """(Hg, Wg) standard deviation of a pixel's contrast, as a fraction, around every node of a grid."""
-    code_doubt: float
-    """Standard deviation of a cycle's contrast by the pattern's code, as a fraction; 0: there is no code."""
+    light: npt.NDArray[np.float32]
+    """(h, w, 3) levels, mean over a few pixels along the stripes; see `says`."""
     contrast: npt.NDArray[np.float32]
-    """(Hg, Wg) likewise: by what blur multiplies the first harmonic."""
-    spacing_px: int
-    """px between the grid's nodes."""
+    """(h, w) by which blur and the mean multiply the fringe's first harmonic, beside the usual."""
+    rows: int
+    columns: int
+    """px between the places."""
+    period_px: float
+    """Camera px a cycle."""
+
+    @property
+    def says(self) -> _Mask:
+        """(h, w) which places are not clipped."""
+        return np.asarray(self.light[..., 0] > _SAYS_NOTHING)
+
+    @property
+    def pixels(self) -> int:
+        """How many pixels a place stands for."""
+        return self.rows * self.columns
+
+    def blurred(self, values: npt.NDArray[Any], sigma_px: float) -> npt.NDArray[np.float32]:
+        """Return values of the places, smoothed by a Gaussian."""
+        sigma = (max(0.2, sigma_px / self.columns), max(0.2, sigma_px / self.rows))
+        return np.asarray(cv2.GaussianBlur(values.astype(np.float32, copy=False), (0, 0), sigma[0], sigmaY=sigma[1]))
+
+    def square(self, side_px: float) -> npt.NDArray[np.uint8]:
+        """Return what a morphological operation looks at: a square of an odd number of places."""
+        return np.ones([2 * round(side_px / step / 2) + 1 for step in (self.rows, self.columns)], np.uint8)
+
+
+class NeutralLight(NamedTuple):
+    """What each surface's light is as that of a neutral one."""
+
+    unmixing: npt.NDArray[np.float32]
+    """(N, 3, 3) takes it to b cos(phi), b sin(phi) and a."""
+    ambient: npt.NDArray[np.float32]
+    """(N, 3) light that each sends back besides, levels."""
+    contrast: npt.NDArray[np.float32]
+    """(2, bins + 1) b over a at the bare phase from -pi to pi, and its derivative."""
+
+    @classmethod
+    def of(cls, crosstalk: Crosstalk, template: npt.NDArray[np.float32]) -> "NeutralLight":
+        """Return that of surfaces, given one cycle of a neutral surface's channels."""
+        weights, harmonics = crosstalk.weights.astype(np.float64), channel_harmonics(template)
+        turns = np.exp(1j * np.linspace(-np.pi, np.pi, _BINS, endpoint=False)[:, None])
+        cosine, sine, mean = weights @ (1 + (turns ** np.arange(1, harmonics.shape[1] + 1) @ harmonics.T).real).T
+        bare, phases = np.arctan2(sine, cosine), np.linspace(-np.pi, np.pi, _BINS + 1)
+        rho = np.interp(phases, bare, np.hypot(cosine, sine) / mean, period=2 * np.pi)
+        slope = (np.roll(rho[:-1], -1) - np.roll(rho[:-1], 1)) * (_BINS / (4 * np.pi))
+        unmixing = (weights @ crosstalk.surfaces.unmixing).astype(np.float32)
+        table = np.stack([rho, np.append(slope, slope[0])]).astype(np.float32)
+        return cls(unmixing, crosstalk.surfaces.ambient, table)
 
 
 class Relabelled(NamedTuple):
-    """Which surface each pixel shows, once misfits have been compared."""
+    """Which surface each place shows, once misfits have been compared."""
 
     labels: _Labels
-    """(H, W) new numbers; NO_SURFACE stays."""
+    """(h, w) new numbers; NO_SURFACE stays."""
     kept: list[int]
     """Which of the surfaces before have those numbers."""
     unexplained: _Mask
-    """(H, W) pixels that fit none."""
+    """(h, w) places that fit none."""
+    around: _Misfits
+    """(n, h, w) the misfits of what was kept, averaged over a good part of a cycle."""
 
 
 @kernel
-def surface_misfits_kernel(
+def average_light_kernel(
     image: AnyArray3,  # (H, W, 3) levels
-    labels: U8Array2,  # (H, W) see `Surfaces`
-    mixing: F32Array3,  # (N, 3, 3)
-    unmixing: F32Array3,  # (N, 3, 3)
-    ambient: F32Array2,  # (N, 3) levels
+    gains: F32Array3,  # (Hg, Wg, 3) that balance a neutral surface
+    spacing_px: i32,  # between these nodes
     phase_weights: F32Array2,  # (3, 3)
-    correction: F32Array1,  # (bins + 1,) rad
-    template: F32Array2,  # (3, terms)
+    blur: F32Array2,  # (Hn, Wn) what blur leaves of the contrast around every node
+    node_px: i32,  # between those
     clipped: f32,  # levels
-    read_noise: f32,  # levels
-    noise_gain: f32,  # levels
-    contrast_doubt: F32Array2,  # (Hg, Wg) as a fraction
-    contrast: F32Array2,  # (Hg, Wg) beside the template's, around every node; see `Fringe`
-    spacing_px: i32,  # between nodes
-    step: i32,  # px between the pixels that are looked at
-    out: F32Array3,  # (N, ceil(H / step), ceil(W / step)) standard deviations; _SAYS_NOTHING
-    by_contrast: F32Array3,  # likewise: how that changes with the contrast, per 1
+    rows: i32,  # px between places
+    columns: i32,
+    reach: i32,  # px of a mean on either side
+    cells: I32Array2,  # (h / 8 up, w / 16 up) 0: nobody asks
+    out: F32Array3,  # (h, w, 3) levels; _SAYS_NOTHING
+    out_contrast: F32Array2,  # (h, w) see `Lattice`
 ):
-    height, width = out.shape[1], out.shape[2]
-    strips = strip_count(width, _PIXELS_AT_ONCE)
-    for t in range(out.shape[0] * height * strips):
-        surface, y, first = t // (height * strips), t // strips % height, t % strips * _PIXELS_AT_ONCE
-        weights, harmonics = matrix_of(phase_weights), load_harmonics(template)
-        matrix, inverse = surface_matrix(mixing, surface), surface_matrix(unmixing, surface)
-        rest = surface_ambient(ambient, surface)
-        count = ti.min(_PIXELS_AT_ONCE, width - first)
-        red, green, blue, shown = _lanes(0.0), _lanes(0.0), _lanes(0.0), _lanes(0.0)
-        phase, result, changes = _lanes(0.0), _lanes(0.0), _lanes(0.0)
-        for k in range(count):
-            seen = color_at(image, y * step, (first + k) * step)
-            red[k], green[k], blue[k] = seen.x, seen.y, seen.z
-            says = shows_surface(labels, y * step, (first + k) * step) & (seen.max() < clipped)
-            shown[k] = ti.select(says, 1.0, 0.0)
-        for k in range(_PIXELS_AT_ONCE):
-            vector = weights @ (inverse @ (vec3(red[k], green[k], blue[k]) - rest))
-            phase[k] = arctangent(vector.y, vector.x)
-        for k in range(_PIXELS_AT_ONCE):
-            phase[k] = equalized(phase[k], correction)
-        for k in range(_PIXELS_AT_ONCE):
-            seen = vec3(red[k], green[k], blue[k])
-            wrong, doubt = _MODEL_ERROR * seen.sum() / 3.0, _AMBIENT_ERROR * rest
-            noise = read_noise * read_noise + noise_gain * ti.max(seen, 0.0) + wrong * wrong + doubt * doubt
-            weight = 1.0 / ti.sqrt(noise)
-            i = ti.min(y * step // spacing_px, contrast.shape[0] - 1)
-            j = ti.min((first + k) * step // spacing_px, contrast.shape[1] - 1)
-            cycle, slope = cycle_and_slope(blurred(harmonics, contrast[i, j]), phase[k])
-            model, change = weight * (matrix @ cycle), weight * (matrix @ slope)
-            swing = weight * (matrix @ (cycle - 1.0))
-            left, slope_of = residual_of(weight * (seen - rest), model, change, swing, contrast_doubt[i, j])
-            result[k] = ti.select(shown[k] > 0.5, left, _SAYS_NOTHING)
-            changes[k] = slope_of
-        for k in range(count):
-            out[surface, y, first + k] = result[k]
-            by_contrast[surface, y, first + k] = changes[k]
+    height, width = out.shape[0], out.shape[1]
+    strips = strip_count(width, _AT_ONCE)
+    for t in range(height * strips):
+        i, first = t // strips, t % strips * _AT_ONCE
+        if cells[i // _CELL_ROWS, t % strips] != 0:
+            weights, y = matrix_of(phase_weights), i * rows
+            for j in range(first, ti.min(first + _AT_ONCE, width)):
+                middle = ti.min(j * columns + columns // 2, image.shape[1] - 1)
+                gain = gain_at(gains, spacing_px, y, middle)
+                total, last, most, cosine, sine = vec3(0.0), vec3(0.0), 0.0, 0.0, 0.0
+                for k in range(-reach, reach + 1):
+                    x = ti.min(ti.max(middle + k, 0), image.shape[1] - 1)
+                    seen = color_at(image, y, x)
+                    vector = weighed_vector(seen, gain, weights)
+                    cosine += vector.x * last.x + vector.y * last.y
+                    sine += vector.y * last.x - vector.x * last.y
+                    total, last, most = total + seen, vector, ti.max(most, seen.max())
+                # A phase that is linear over n pixels has the variance slope^2 (n^2 - 1) / 12.
+                slope = ti.select(cosine > 0.0, sine / ti.max(cosine, 1e-9), 1.0)
+                lost = 1.0 + reach * (reach + 1) / 6.0 * ti.min(slope * slope, 1.0)
+                a, b = ti.min(y // node_px, blur.shape[0] - 1), ti.min(middle // node_px, blur.shape[1] - 1)
+                out_contrast[i, j] = blur[a, b] / lost
+                for c in ti.static(range(3)):
+                    out[i, j, c] = ti.select(most < clipped, total[c] / (2 * reach + 1), _SAYS_NOTHING)
 
 
-def surface_misfits(
+def average_light(
     image: LevelsImage,
+    gains: Gains,
     crosstalk: Crosstalk,
+    blur: npt.NDArray[np.float32],
+    node_px: int,
     levels: FrameLevels,
-    correction: F32,
-    template: F32,
-    fringe: Fringe,
-    period_px: float,
-    step: int = 1,
-) -> _Misfits:
-    """Return what each surface's matrix leaves over of every pixel.
+    rows: int,
+    columns: int,
+    reach_px: int = REACH_PX,
+    cells: I32 | None = None,
+) -> tuple[F32, F32]:
+    """Return mean light around places of a frame, and how much contrast that has left; see `Lattice`.
 
     Parameters
     ----------
     image : (H, W, 3) uint8, uint16 or float32
         Linear light, levels, stripes along the rows.
+    gains : Gains
+        That balance it.
     crosstalk : Crosstalk
-        With the surfaces; of their labels only NO_SURFACE matters.
+        What they were measured with.
+    blur : (Hn, Wn) float32
+        What the camera's blur leaves of the contrast around every node, beside the usual.
+    node_px : int
+        px between these nodes.
     levels : FrameLevels
-        The frame's noise; clipped pixels say nothing.
-    correction : (bins + 1,) float32
-        rad to add to the arctangent; see `equalization.correction_table`.
-    template : (3, terms) float32
-        One cycle of a neutral surface's channels.
-    fringe : Fringe
-        How pixels' fringes differ from the template.
-    period_px : float
-        Camera px a cycle.
-    step : int
-        px between the pixels that are looked at, both ways.
-
-    Returns
-    -------
-    (N, ceil(H / step), ceil(W / step)) float32
-        Squares of standard deviations, at most 16; -1 where a pixel says nothing.
-
-    Raises
-    ------
-    ShapeError
-        A shape or dtype is another one.
+        Clipped pixels say nothing.
+    rows, columns : int
+        px between places.
+    reach_px : int
+        Pixels of a mean on either side.
+    cells : int32, optional
+        Which cells of 8 x 16 places are asked, others are undefined; None: all.
     """
-    image = checks.read_array("image", image, (None, None, 3), *LEVEL_TYPES)
-    correction = checks.read_array("correction", correction, (None,), np.float32)
-    surfaces = crosstalk.surfaces
-    size = (-(-int(image.shape[0]) // step), -(-int(image.shape[1]) // step))
-    out, by_contrast = (np.empty((len(surfaces.mixing), *size), np.float32) for _ in range(2))
-    surface_misfits_kernel(
-        image,
-        surfaces.labels,
-        surfaces.mixing,
-        surfaces.unmixing,
-        surfaces.ambient,
-        crosstalk.weights,
-        correction,
-        template,
-        levels.clipped,
-        levels.read_noise,
-        levels.noise_gain,
-        fringe.contrast_doubt,
-        fringe.contrast,
-        fringe.spacing_px,
-        step,
-        out,
-        by_contrast,
-    )
-    runtime.synchronize()
-    said = out[0] != _SAYS_NOTHING
-    if fringe.code_doubt > 0:
-        _take_off_code(out, by_contrast, said, fringe.code_doubt, period_px, step)
-    return np.where(said, np.minimum(out**2, _MOST), np.float32(-1))
+    image = checks.read_array("image", image, (gains.height, gains.width, 3), *LEVEL_TYPES)
+    size = (-(-gains.height // rows), -(-gains.width // columns))
+    cells = np.ones(cells_of(size), np.int32) if cells is None else cells
+    out, contrast = runtime.empty((*size, 3), np.float32), runtime.empty(size, np.float32)
+    nodes = (gains.gains, gains.spacing_px, crosstalk.weights, blur, node_px)
+    average_light_kernel(image, *nodes, levels.clipped, rows, columns, reach_px, cells, out, contrast)
+    return out, contrast
 
 
-def _take_off_code(
-    residuals: _Misfits, by_contrast: _Misfits, said: _Mask, doubt: float, period_px: float, step: int
-) -> None:
-    """Subtract from the residuals, (N, H, W) standard deviations, what a cycle's own contrast explains.
-
-    By a code each cycle has one contrast. A matrix with more crosstalk looks like a cycle with less contrast: if every
-    pixel's contrast were doubted by itself, many pixels of a cycle would be evidence of another surface.
-    """
-    sigma = _CODE_CYCLES * period_px
-    pixels = 4 * np.pi * (sigma / step) ** 2  # that the average is made of
-    prior = 1 / (doubt**2 * pixels)
-    for left, change in zip(residuals, by_contrast, strict=True):
-        counted = np.where(said, change / np.maximum(1, np.abs(left) / _TRUSTED), np.float32(0))
-        slope, square = (_wide(counted * values, sigma, step) for values in (left, change))
-        left -= np.where(said, _enlarged(slope / (square + prior), said.shape) * change, np.float32(0))
+def cells_of(size: tuple[int, int]) -> tuple[int, int]:
+    """Return how many cells so many places have."""
+    return -(-size[0] // _CELL_ROWS), -(-size[1] // _AT_ONCE)
 
 
-def relabel(
-    misfits: _Misfits,
-    before: _Labels,
-    fits: _Mask,
-    founding: _Mask,
-    period_px: float,
-    step: int = 1,
-    *,
-    afresh: bool = False,
-) -> Relabelled:
-    """Give every pixel to the surface that fits it best, and drop surfaces that none needs.
+@kernel
+def surface_misfits_kernel(
+    light: F32Array3,  # (h, w, 3) levels; see `average_light_kernel`
+    contrast: F32Array2,  # (h, w) of the fringe, beside the light's
+    cells: I32Array2,  # (h / 8 up, w / 16 up) a bit for each surface that is asked
+    unmixing: F32Array3,  # (N, 3, 3) see `NeutralLight`
+    ambient: F32Array2,  # (N, 3) levels
+    rho: F32Array2,  # (2, bins + 1)
+    read_variance: f32,  # levels^2 of a mean
+    noise_gain: f32,  # levels, of a mean
+    even: f32,  # standard deviation of a place's contrast, as a fraction, where blur is the usual
+    out: F32Array3,  # (N, h, w) standard deviations; _SAYS_NOTHING; undefined where a surface is not asked
+    by_contrast: F32Array3,  # likewise: how that changes with the contrast, per 1
+):
+    height, width = out.shape[1], out.shape[2]
+    strips = strip_count(width, _AT_ONCE)
+    for t in range(out.shape[0] * height * strips):
+        surface, y, strip = t // (height * strips), t // strips % height, t % strips
+        if (cells[y // _CELL_ROWS, strip] >> surface) & 1 == 1:
+            first, inverse = strip * _AT_ONCE, surface_matrix(unmixing, surface)
+            rest = surface_ambient(ambient, surface)
+            count = ti.min(_AT_ONCE, width - first)
+            red, green, blue, sharp = _lanes(0.0), _lanes(0.0), _lanes(0.0), _lanes(1.0)
+            bare, ring, turn, result, changes = _lanes(0.0), _lanes(0.0), _lanes(0.0), _lanes(0.0), _lanes(0.0)
+            for k in range(count):
+                red[k], green[k], blue[k] = light[y, first + k, 0], light[y, first + k, 1], light[y, first + k, 2]
+                sharp[k] = contrast[y, first + k]
+            for k in range(_AT_ONCE):
+                vector = inverse @ (vec3(red[k], green[k], blue[k]) - rest)
+                bare[k] = (arctangent(vector.y, vector.x) + np.pi) * ti.static(_BINS / (2 * np.pi))
+            for k in range(_AT_ONCE):
+                place = ti.min(ti.cast(bare[k], ti.i32), _BINS - 1)
+                ring[k] = rho[0, place] + (bare[k] - place) * (rho[0, place + 1] - rho[0, place])
+                turn[k] = rho[1, place]
+            for k in range(_AT_ONCE):
+                seen = vec3(red[k], green[k], blue[k])
+                vector = inverse @ (seen - rest)
+                swing = vector.z * sharp[k] * ring[k]
+                size = ti.max(modulation_of(vector), 1e-9)
+                cosine, sine = vector.x / size, vector.y / size
+                turned = vector.z * sharp[k] * turn[k] / size
+                across = ti.Vector([cosine + sine * turned, sine - cosine * turned, -sharp[k] * ring[k]]) @ inverse
+                wrong, doubt = _MODEL_ERROR * seen.sum() / 3.0, _AMBIENT_ERROR * rest
+                noise = read_variance + noise_gain * ti.max(seen, 0.0) + wrong * wrong + doubt * doubt
+                lost = _LOST_DOUBT * (sharp[k] - 1.0)
+                variance = (across * across).dot(noise) + (even * even + lost * lost) * swing * swing
+                by_sigma = 1.0 / ti.sqrt(ti.max(variance, 1e-12))
+                result[k] = ti.select(red[k] > _SAYS_NOTHING, (size - swing) * by_sigma, _SAYS_NOTHING)
+                changes[k] = swing * by_sigma
+            for k in range(count):
+                out[surface, y, first + k] = result[k]
+                by_contrast[surface, y, first + k] = changes[k]
+
+
+def surface_misfits(lattice: Lattice, neutral: NeutralLight, levels: FrameLevels, code_doubt: float) -> _Misfits:
+    """Return what each surface's matrix leaves over at every place.
 
     Parameters
     ----------
-    misfits : (N, H, W) float32
+    lattice : Lattice
+        The places' light.
+    neutral : NeutralLight
+        The surfaces.
+    levels : FrameLevels
+        The frame's noise.
+    code_doubt : float
+        Standard deviation of a cycle's contrast by the pattern's code, as a fraction; 0: there is no code.
+
+    Returns
+    -------
+    (N, h, w) float32
+        Squares of standard deviations, at most 16; -1 where a place says nothing.
+    """
+    size, count = lattice.contrast.shape, len(neutral.unmixing)
+    out, by_contrast = (np.empty((count, *size), np.float32) for _ in range(2))
+    cells = np.full(cells_of(size), (1 << count) - 1, np.int32)
+    even = _CORNERS if code_doubt > 0 else _UNEVEN
+    _misfits(lattice.light, lattice.contrast, cells, neutral, levels, 2 * REACH_PX + 1, even, out, by_contrast)
+    said = lattice.says
+    if code_doubt > 0:
+        _take_off_code(lattice, out, by_contrast, said, code_doubt)
+    return np.where(said, np.minimum(out**2, _MOST), np.float32(-1))
+
+
+def _misfits(
+    light: F32, contrast: F32, cells: I32, neutral: NeutralLight, levels: FrameLevels, pixels: int, even: float, *out: F32
+) -> None:
+    """Do what `surface_misfits_kernel` does with means over some pixels."""
+    noise = (levels.read_noise**2 / pixels, levels.noise_gain / pixels)
+    surface_misfits_kernel(light, contrast, cells, *neutral, *noise, even, *out)
+    runtime.synchronize()
+
+
+def _take_off_code(lattice: Lattice, residuals: _Misfits, by_contrast: _Misfits, said: _Mask, doubt: float) -> None:
+    """Subtract from the residuals, (N, h, w) standard deviations, what a cycle's own contrast explains.
+
+    By a code each cycle has one contrast. A matrix with more crosstalk looks like a cycle with less contrast: if every
+    place's contrast were doubted by itself, many places of a cycle would be evidence of another surface.
+    """
+    sigma = _CODE_CYCLES * lattice.period_px
+    places = 4 * np.pi * sigma**2 / lattice.pixels  # that the average is made of
+    prior = 1 / (doubt**2 * max(places, 1.0))
+    for left, change in zip(residuals, by_contrast, strict=True):
+        counted = np.where(said, change / np.maximum(1, np.abs(left) / _TRUSTED), np.float32(0))
+        slope, square = (lattice.blurred(counted * values, sigma) for values in (left, change))
+        left -= np.where(said, slope / (square + prior) * change, np.float32(0))
+
+
+def relabel(
+    lattice: Lattice, misfits: _Misfits, before: _Labels, fits: _Mask, founding: _Mask, *, afresh: bool = False
+) -> Relabelled:
+    """Give every place to the surface that fits it best, and drop surfaces that none needs.
+
+    Parameters
+    ----------
+    lattice : Lattice
+        The places.
+    misfits : (N, h, w) float32
         See `surface_misfits`.
-    before : (H, W) uint8
-        The surfaces that pixels are taken to show so far.
+    before : (h, w) uint8
+        The surfaces that places are taken to show so far.
     fits : (N,) bool
-        Which surfaces fit their pixels; others are kept only where the rest is much worse.
+        Which surfaces fit their places; others are kept only where the rest is much worse.
     founding : (N,) bool
         Which ones the frame began with: none that came later takes the place of one.
-    period_px : float
-        Camera px a cycle.
-    step : int
-        px between the pixels, both ways.
     afresh : bool
-        Whether only NO_SURFACE is known of what pixels showed before.
+        Whether only NO_SURFACE is known of what places showed before.
     """
-    said = misfits[0] >= 0
-    averages = _averaged(misfits, said, period_px, step)
+    shown = before != NO_SURFACE
+    said = (misfits[0] >= 0) & shown
+    averages, around = _averaged(lattice, misfits, said)
     if afresh:
-        before = np.where(before == NO_SURFACE, NO_SURFACE, averages.argmin(axis=0)).astype(np.uint8)
+        before = np.where(shown, averages.argmin(axis=0), NO_SURFACE).astype(np.uint8)
     kept = list(range(len(misfits)))
-    sizes = np.bincount(before[said], minlength=len(misfits))
-    for k in sorted(kept, key=lambda k: (bool(founding[k]), int(sizes[k]))):
-        own = said & (before == k)
+    own = (before[said] == np.arange(len(misfits))[:, None]).astype(np.float32)
+    sizes = own.sum(axis=1)
+    means = (own @ averages[:, said].T) / np.maximum(sizes, 1)[:, None]
+    for k in sorted(kept, key=lambda k: (bool(founding[k]), sizes[k])):
         others = [j for j in kept if j != k]
         rivals = [j for j in others if founding[j] or not founding[k]]
-        if others and not own.any():
+        if others and sizes[k] == 0:
             kept = others
-        elif rivals:
-            least = min(averages[j][own].mean() for j in rivals) - averages[k][own].mean()
-            if least < (_BETTER if fits[k] else _MUCH_BETTER):
-                kept = others
+        elif rivals and means[k, rivals].min() - means[k, k] < (_BETTER if fits[k] else _MUCH_BETTER):
+            kept = others
     while True:
         nearest = averages[kept].argmin(axis=0)
         sizes = np.bincount(nearest[said], minlength=len(kept))
-        if len(kept) == 1 or sizes.min() * step**2 >= LEAST_PX:
+        if len(kept) == 1 or sizes.min() * lattice.pixels >= LEAST_PX:
             break
         kept.pop(int(sizes.argmin()))
-    labels = np.where(before == NO_SURFACE, NO_SURFACE, nearest).astype(np.uint8)
+    labels = np.where(shown, nearest, NO_SURFACE).astype(np.uint8)
     least = np.take_along_axis(averages[kept], nearest[None], 0)[0]
-    own = np.take_along_axis(misfits[kept], nearest[None], 0)[0]
-    unexplained = _opened(said & (least > _UNEXPLAINED), _OPENING_PX, step)
-    unexplained |= _opened(_unusual_neighbourhoods(own, said, period_px, step), _OPENING_CYCLES * period_px, step)
-    return Relabelled(labels, kept, unexplained)
+    own_misfit = np.take_along_axis(misfits[kept], nearest[None], 0)[0]
+    unexplained = _opened(said & (least > _UNEXPLAINED), lattice.square(_OPENING_PX))
+    wide = lattice.square(_OPENING_CYCLES * lattice.period_px)
+    unexplained |= _opened(_unusual_neighbourhoods(lattice, own_misfit, said), wide)
+    return Relabelled(labels, kept, unexplained, around[kept])
 
 
-def _averaged(misfits: _Misfits, said: _Mask, period_px: float, step: int) -> _Misfits:
-    """Average every surface's misfits over a few pixels, and over a part of a cycle."""
-    weight = said.astype(np.float32)
-    near_share = np.maximum(_near(weight, step), 1e-6)
-    wide_share = np.maximum(_wide(weight, _AROUND_CYCLES * period_px, step), 1e-6)
-    result = np.empty_like(misfits)
+def _averaged(lattice: Lattice, misfits: _Misfits, said: _Mask) -> tuple[_Misfits, _Misfits]:
+    """Average every surface's misfits over a few pixels and a part of a cycle, and over the latter alone."""
+    sigma, weight = _AROUND_CYCLES * lattice.period_px, said.astype(np.float32)
+    near = cv2.getGaussianKernel(2 * int(3 * _NEAR_PX / lattice.rows) + 1, _NEAR_PX / lattice.rows)
+    near_share = np.maximum(cv2.sepFilter2D(weight, -1, _ALONE, near), 1e-6)
+    wide_share = np.maximum(lattice.blurred(weight, sigma), 1e-6)
+    averages, wide = np.empty_like(misfits), np.empty_like(misfits)
     for surface, misfit in enumerate(misfits):
         counted = np.where(said, misfit, np.float32(0))
-        around = _enlarged(_wide(counted, _AROUND_CYCLES * period_px, step) / wide_share, said.shape)
-        result[surface] = (_near(counted, step) / near_share + _AROUND * around) / (1 + _AROUND)
-    return result
+        wide[surface] = lattice.blurred(counted, sigma) / wide_share
+        averages[surface] = cv2.sepFilter2D(counted, -1, _ALONE, near) / near_share + _AROUND * wide[surface]
+    averages /= 1 + _AROUND
+    return averages, wide
 
 
-def _unusual_neighbourhoods(misfit: _Misfits, said: _Mask, period_px: float, step: int) -> _Mask:
-    """Return where the misfit of pixels to their own surfaces is larger than elsewhere, cycle by cycle."""
-    sigma = _NEIGHBOURHOOD_CYCLES * period_px
-    share = _wide(said.astype(np.float32), sigma, step)
-    mean = _wide(np.where(said, np.minimum(misfit, _MOST_AROUND), np.float32(0)), sigma, step) / np.maximum(share, 0.1)
+def _unusual_neighbourhoods(lattice: Lattice, misfit: _Misfits, said: _Mask) -> _Mask:
+    """Return where the misfit of places to their own surfaces is larger than elsewhere, cycle by cycle."""
+    sigma = _NEIGHBOURHOOD_CYCLES * lattice.period_px
+    share = lattice.blurred(said, sigma)
+    mean = lattice.blurred(np.where(said, np.minimum(misfit, _MOST_AROUND), 0), sigma) / np.maximum(share, 0.1)
     usual = float(np.median(mean[share > 0.5])) if (share > 0.5).any() else 1.0
-    return np.asarray(said & (_enlarged(mean, said.shape) > max(_UNEXPLAINED_AROUND, _UNUSUAL * usual)))
+    return np.asarray(said & (mean > max(_UNEXPLAINED_AROUND, _UNUSUAL * usual)))
 
 
-def _near(values: _Misfits, step: int) -> _Misfits:
-    along, across = _NEAR_PX
-    return np.asarray(cv2.GaussianBlur(values, (0, 0), along / step, sigmaY=across / step), np.float32)
+def _opened(mask: _Mask, square: npt.NDArray[np.uint8]) -> _Mask:
+    return np.asarray(cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, square) > 0)
 
 
-def _wide(values: _Misfits, sigma_px: float, step: int) -> _Misfits:
-    """Blur on a coarser grid, and leave the values there."""
-    every = max(1, _GRID_PX // step)
-    size = (-(-values.shape[1] // every), -(-values.shape[0] // every))
-    coarse = cv2.resize(values, size, interpolation=cv2.INTER_AREA)
-    return np.asarray(cv2.GaussianBlur(coarse, (0, 0), sigma_px / (step * every)), np.float32)
+def cells_of_pixels(lattice: Lattice, labels: _Labels, size: tuple[int, int]) -> I32:
+    """Return a bit for each surface that the pixels of a cell may show, where that are several; else 0.
+
+    Parameters
+    ----------
+    lattice : Lattice
+        The places.
+    labels : (h, w) uint8
+        What these show.
+    size : (int, int)
+        The image's height and width, px.
+    """
+    bits = np.where(labels == NO_SURFACE, 0, 1 << labels.astype(np.int32)).astype(np.int32)
+    for axis, reach in ((0, -(-_EDGE_PX // lattice.rows)), (1, -(-_EDGE_PX // lattice.columns))):
+        bits = np.moveaxis(bits, axis, 0)
+        near = bits.copy()
+        for step in range(1, reach + 1):
+            near[step:] |= bits[:-step]
+            near[:-step] |= bits[step:]
+        bits = np.moveaxis(near, 0, axis)
+    rows, columns = (
+        np.minimum(np.arange(cells) * side // step, places - 1)
+        for cells, side, step, places in zip(
+            cells_of(size), (_CELL_ROWS, _AT_ONCE), (lattice.rows, lattice.columns), labels.shape, strict=True
+        )
+    )
+    cells = np.bitwise_or.reduceat(np.bitwise_or.reduceat(bits, rows, axis=0), columns, axis=1)
+    return np.ascontiguousarray(np.where(cells & (cells - 1), cells, 0))
 
 
-def _enlarged(values: npt.NDArray[np.floating], shape: tuple[int, ...]) -> _Misfits:
-    return np.asarray(cv2.resize(values, shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
+@ti.func
+def place_at(values: F32Array3, surface: i32, v: f32, u: f32) -> f32:
+    """Interpolate a surface's values between places, bilinearly."""
+    v = ti.min(ti.max(v, 0.0), ti.cast(values.shape[1] - 1, ti.f32))
+    u = ti.min(ti.max(u, 0.0), ti.cast(values.shape[2] - 1, ti.f32))
+    i, j = ti.cast(v, ti.i32), ti.cast(u, ti.i32)
+    i1, j1 = ti.min(i + 1, values.shape[1] - 1), ti.min(j + 1, values.shape[2] - 1)
+    upper = values[surface, i, j] + (u - j) * (values[surface, i, j1] - values[surface, i, j])
+    lower = values[surface, i1, j] + (u - j) * (values[surface, i1, j1] - values[surface, i1, j])
+    return upper + (v - i) * (lower - upper)
 
 
-def _opened(mask: _Mask, side_px: float, step: int) -> _Mask:
-    opened = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, _square(side_px, step))
-    return np.asarray(opened > 0)
+@kernel
+def choose_surfaces_kernel(
+    misfits: F32Array3,  # (N, H, W) standard deviations of pixels; see `surface_misfits_kernel`
+    around: F32Array3,  # (N, h, w) their squares' averages around places of the lattice
+    cells: I32Array2,  # (H / 8 up, W / 16 up) a bit for each surface that is asked
+    near: F32Array1,  # weights of pixels so far across the stripes
+    along: F32Array1,  # and along them: _BESIDE + 1
+    rows: i32,  # px between places
+    columns: i32,
+    labels: U8Array2,  # (H, W) changed where surfaces are asked, unless NO_SURFACE
+):
+    height, width = labels.shape[0], labels.shape[1]
+    strips = strip_count(width, _AT_ONCE)
+    for t in range(height * strips):
+        y, strip = t // strips, t % strips
+        bits, first = cells[y // _CELL_ROWS, strip], strip * _AT_ONCE
+        if bits != 0:
+            best, which = _lanes(1e9), _lanes(0.0)
+            for surface in range(misfits.shape[0]):
+                if (bits >> surface) & 1 == 1:
+                    total, weight, left = _lanes(0.0), _lanes(1e-6), _wide_lanes(0.0)
+                    for v in range(ti.max(y - near.shape[0] + 1, 0), ti.min(y + near.shape[0], height)):
+                        for k in range(_AT_ONCE + 2 * _BESIDE):
+                            x = ti.min(ti.max(first + k - _BESIDE, 0), width - 1)
+                            asked = (cells[v // _CELL_ROWS, x // _AT_ONCE] >> surface) & 1 == 1
+                            left[k] = _SAYS_NOTHING
+                            if asked & (ti.cast(labels[v, x], ti.i32) != NO_SURFACE):
+                                left[k] = misfits[surface, v, x]
+                        for u in ti.static(range(2 * _BESIDE + 1)):
+                            for k in range(_AT_ONCE):
+                                value, share = left[k + u], near[ti.abs(v - y)] * along[ti.abs(u - _BESIDE)]
+                                share = ti.select(value > _SAYS_NOTHING, share, 0.0)
+                                total[k] += share * ti.min(value * value, _MOST)
+                                weight[k] += share
+                    for k in range(_AT_ONCE):
+                        besides = place_at(around, surface, y / rows, (first + k + 0.5) / columns - 0.5)
+                        value = total[k] / weight[k] + _AROUND * besides
+                        which[k] = ti.select(value < best[k], ti.cast(surface, ti.f32), which[k])
+                        best[k] = ti.min(value, best[k])
+            for k in range(ti.min(_AT_ONCE, width - first)):
+                if ti.cast(labels[y, first + k], ti.i32) != NO_SURFACE:
+                    labels[y, first + k] = ti.cast(which[k], ti.u8)
 
 
-def _square(side_px: float, step: int) -> _Labels:
-    """Return what a morphological operation looks at: a square of an odd number of pixels."""
-    side = 2 * int(side_px / step / 2) + 1
-    return np.ones((side, side), np.uint8)
+def choose_surfaces(
+    light: F32,
+    contrast: F32,
+    cells: I32,
+    neutral: NeutralLight,
+    levels: FrameLevels,
+    code_doubt: float,
+    lattice: Lattice,
+    around: _Misfits,
+    out: U8,
+) -> None:
+    """Give every pixel of some cells to the surface that fits it best.
+
+    Parameters
+    ----------
+    light, contrast : (H, W, 3), (H, W) float32
+        Of single pixels; see `average_light`.
+    cells : int32
+        A bit for each surface that pixels of a cell of 8 x 16 may show; 0: its labels stay.
+    neutral, levels, code_doubt, lattice
+        See `surface_misfits`.
+    around : (N, h, w) float32
+        See `Relabelled`.
+    out : (H, W) uint8
+        The labels; NO_SURFACE stays.
+    """
+    size = (len(neutral.unmixing), *(int(n) for n in contrast.shape))
+    misfits, by_contrast = (runtime.empty(size, np.float32) for _ in range(2))
+    # A pixel does not tell what its cycle's contrast is.
+    even = float(np.hypot(code_doubt, _UNEVEN))
+    _misfits(light, contrast, cells, neutral, levels, 1, even, misfits, by_contrast)
+    weights = (
+        np.exp(-0.5 * (np.arange(reach + 1) / sigma) ** 2).astype(np.float32)
+        for reach, sigma in ((3, _NEAR_PX), (_BESIDE, _ALONG_PX))
+    )
+    choose_surfaces_kernel(misfits, around, cells, *weights, lattice.rows, lattice.columns, out)

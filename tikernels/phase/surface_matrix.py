@@ -20,7 +20,7 @@ measurement, good to a fraction of its light, however many pixels it has: what i
 all of them.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -69,10 +69,13 @@ _HUBER = 2.5
 _LEAST, _MOST = -0.7, 1.5
 # A step of Gauss and Newton in the phase goes no further than this, rad.
 _PHASE_STEP = 0.2
-_ROUNDS = 3
-# Such steps at first, and then in every round.
-_FIRST_TURNS, _TURNS = 3, 2
-_COLUMNS = 12  # nine of K, three of the ambient light
+# Such steps at first, and then with every step of the matrices.
+_FIRST_TURNS, _TURNS = 3, 1
+# The brightness tells where it is not further than this from what is usual, as a logarithm, and on so many places.
+_USUAL_BRIGHTNESS, _LEAST_BRIGHTNESS = 0.5, 30
+# Places of the cycle that the phase's constant is the mean of.
+_PHASES = 48
+_COLUMNS = 12  # of a surface's own: nine of K, three of the ambient light
 
 
 def predict_matrices(colors: npt.ArrayLike, matrix: npt.ArrayLike, weights: npt.ArrayLike) -> _Array:
@@ -133,18 +136,15 @@ class PredictedMatrices:
 
 @dataclass(frozen=True, eq=False)
 class SurfaceSamples:
-    """Pixels of one surface, and what is known of each."""
+    """Places of n surfaces, S of each, and what is known of them."""
 
-    light: _Array  # (N, 3) the camera's, levels
-    variance: _Array  # (N, 3) of the noise
-    phase: _Array  # (N,) rad, where the fit begins
-    around: _Array  # (N,) mean brightness around, levels
-    contrast_doubt: float  # standard deviation of each one's contrast about the light's, as a fraction
-    contrast: _Array | None = None  # (N,) of the first harmonic beside the light's, as a factor; None: as it is
-
-    def waves(self, light: _Complexes, phase: _Array) -> tuple[_Array, _Array]:
-        """Return each pixel's light and its derivative by the phase, (N, 3), given the pixels' phases."""
-        return waves(light, phase, self.contrast)
+    light: _Array  # (n, S, 3) the camera's, levels
+    variance: _Array  # (n, S, 3) of the noise
+    phase: _Array  # (n, S) rad, where the fit begins
+    around: _Array  # (n, S) mean brightness around, levels
+    contrast: _Array  # (n, S) of the first harmonic beside the light's, as a factor
+    share: _Array  # (n,) of the S places, how many there are: of a small surface some are listed again
+    contrast_doubt: float  # standard deviation of each place's contrast, as a fraction
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,6 +155,9 @@ class FittedMatrices:
     """(n, 3, 3) K, the sum of each 3."""
     ambient: _Array
     """(n, 3) levels."""
+    shared: _Array
+    """(6 + harmonics,) by how much the filters' shares in L, and the light's harmonics as fractions, are not as
+    predicted, the same on all surfaces."""
     light: _Complexes
     """(3, harmonics) of the projector's light over its mean."""
     misfit: _Array
@@ -169,15 +172,19 @@ class FittedMatrices:
 
     def only(self, surfaces: list[int]) -> "FittedMatrices":
         """Return what was found of some of the surfaces."""
-        return FittedMatrices(
-            self.matrices[surfaces],
-            self.ambient[surfaces],
-            self.light,
-            self.misfit[surfaces],
-            self.constant_sigma[surfaces],
-            self.mismatch[surfaces],
-            self.cost,
-        )
+        own = ("matrices", "ambient", "misfit", "constant_sigma", "mismatch")
+        return replace(self, **{name: getattr(self, name)[surfaces] for name in own})
+
+
+class LightDoubt(NamedTuple):
+    """Standard deviations of what is known of the light."""
+
+    leak: float
+    """Of a matrix entry on white, as a fraction of its row."""
+    contrast: float
+    """Of the light's contrast apart from what blur takes, as a fraction."""
+    harmonic: float
+    """Of a single harmonic, besides contrast and blur, as a fraction of the first."""
 
 
 def waves(light: _Complexes, phase: _Array, contrast: _Array | None = None) -> tuple[_Array, _Array]:
@@ -189,90 +196,108 @@ def waves(light: _Complexes, phase: _Array, contrast: _Array | None = None) -> t
         From the first on.
     phase : (..., N)
         rad.
-    contrast : (N,), optional
+    contrast : (..., N), optional
         By what blur multiplies the first harmonic; the nth by its power of n^2.
     """
-    n = np.arange(1, light.shape[1] + 1)
-    # Powers of the first: as many exponentials take several times as long.
-    turns = np.cumprod(np.broadcast_to(np.exp(1j * phase)[..., None], (*phase.shape, light.shape[1])), axis=-1)
-    if contrast is not None:
-        turns *= contrast[:, None] ** n**2
+    turns, n = _turns(light.shape[1], phase, contrast), np.arange(1, light.shape[1] + 1)
     return 1 + (turns @ light.T).real, (turns * 1j * n @ light.T).real
 
 
+def _turns(harmonics: int, phase: _Array, contrast: _Array | None) -> _Complexes:
+    """Return exp(i n phase), (..., N, harmonics), each by what blur leaves of it."""
+    # Powers of the first: as many exponentials take several times as long.
+    turns = np.cumprod(np.broadcast_to(np.exp(1j * phase)[..., None], (*phase.shape, harmonics)), axis=-1)
+    if contrast is not None:
+        turns *= contrast[..., None] ** np.arange(1, harmonics + 1) ** 2
+    return np.asarray(turns)
+
+
 def fit_matrices(
-    samples: list[SurfaceSamples],
+    samples: SurfaceSamples,
     prediction: PredictedMatrices,
     expected_ambient: _Array,
     ambient: _Array,
     light: _Complexes,
-    leak: float,
-    contrast: float,
-    harmonic: float,
+    doubt: LightDoubt,
+    before: FittedMatrices | None = None,
     *,
     fit_light: bool,
+    steps: int = 3,
 ) -> FittedMatrices:
     """Fit the matrix of every surface, its ambient light, and the light that all have in common.
 
     Parameters
     ----------
-    samples : list of SurfaceSamples
-        By surface.
+    samples : SurfaceSamples
+        Of n surfaces.
     prediction : PredictedMatrices
         By these surfaces' colours, without the ambient light that the fit begins with.
     expected_ambient, ambient : (n, 3)
         Ambient light that each surface is expected to send back, and where the fit begins, levels.
     light : (3, harmonics) complex128
         Of the projector's light over its mean, from the first on, as far as it is known.
-    leak : float
-        Standard deviation of an entry on white, as a fraction of its row.
-    contrast : float
-        Standard deviation of the light's contrast apart from what blur takes, as a fraction.
-    harmonic : float
-        How far a single harmonic of the light may be off, besides contrast and blur, as a fraction of the first:
-        standard deviation.
+    doubt : LightDoubt
+        How well it is known.
+    before : FittedMatrices, optional
+        Of the first of these surfaces, where the fit begins; None: with the prediction.
     fit_light : bool
-        Whether the surfaces tell the light, too; else it is as given.
+        Whether the surfaces tell the light, too; else it stays as it was before.
+    steps : int
+        Of Newton.
     """
-    count, harmonics, predicted = len(samples), light.shape[1], prediction.matrices
-    expected, prior = _prior_of_surfaces(samples, prediction, expected_ambient, ambient, leak)
-    known_light = _prior_of_light(light, contrast, harmonic) if fit_light else 1e12 * np.eye(harmonics)
-    expected, prior = np.append(expected, np.zeros(harmonics)), _beside(prior, known_light)
-    start = np.concatenate([np.zeros((count, 9)), ambient - expected_ambient], axis=1).ravel()
-    state = np.concatenate([start, np.zeros(harmonics)])
-    phases = [s.phase.copy() for s in samples]
-    misfit, cost = np.zeros(count), 0.0
-    for turn in range(_ROUNDS + 1):
-        factors = 1 + state[_COLUMNS * count :]
-        own = state[: _COLUMNS * count].reshape(count, _COLUMNS)
-        gram, right, cost = np.zeros((len(state), len(state))), np.zeros(len(state)), 0.0
-        for k, surface in enumerate(samples):
-            matrix = predicted[k] * (1 + own[k, :9].reshape(3, 3))
-            rest = surface.light - expected_ambient[k] - own[k, 9:]
-            turns = _FIRST_TURNS if turn == 0 else _TURNS
-            row = _Equations(surface, matrix, predicted[k], rest, light * factors, light, phases[k], turns)
-            phases[k], misfit[k] = row.phase, row.misfit
-            cost += row.cost
-            place = _places(k, count, harmonics)
-            gram[np.ix_(place, place)] += row.gram
-            right[place] += row.right
-        cost += float((state - expected) @ prior @ (state - expected))
-        if turn < _ROUNDS:
-            step = np.linalg.solve(gram + prior, right - prior @ (state - expected))
-            state = state + step
-            entries = state[: _COLUMNS * count].reshape(count, _COLUMNS)
-            entries[:, :9] = np.clip(entries[:, :9], _LEAST, _MOST)
-    own = state[: _COLUMNS * count].reshape(count, _COLUMNS)
-    matrices = predicted * (1 + own[:, :9].reshape(count, 3, 3))
-    fitted_light, besides = light * (1 + state[_COLUMNS * count :]), expected_ambient + own[:, 9:]
-    covariance, constant = np.linalg.inv(gram + prior), np.empty(count)
-    for k in range(count):
-        slope = _constant_slope(samples[k], matrices[k], predicted[k], besides[k], fitted_light, light)
-        place = _places(k, count, harmonics)
-        constant[k] = np.sqrt(slope @ covariance[np.ix_(place, place)] @ slope)
+    count, harmonics, predicted = len(samples.light), light.shape[1], prediction.matrices
+    by_share = prediction.by_share.reshape(count, 9, -1)
+    common = by_share.shape[2]
+    expected, prior = _prior_of_surfaces(samples, prediction, expected_ambient, ambient, doubt.leak)
+    entries, shared = np.zeros((count, 9)), np.zeros(common + harmonics)
+    if before is not None:
+        known = len(before.matrices)
+        entries[:known] = np.clip(before.matrices / predicted[:known] - 1, _LEAST, _MOST).reshape(known, 9)
+        shared = before.shared
+    own = np.concatenate([entries - by_share @ shared[:common], ambient - expected_ambient], axis=1)
+    usual, prior_shared = np.zeros(common + harmonics), np.zeros((common + harmonics,) * 2)
+    prior_shared[:common, :common] = np.eye(common) / _SHARE**2
+    if not fit_light:
+        usual[common:] = shared[common:]
+    prior_shared[common:, common:] = _prior_of_light(light, doubt) if fit_light else 1e12 * np.eye(harmonics)
+    # What z and the brightness change with, (n, 12 + harmonics), as a function of a surface's own and of what all share.
+    by_shared = np.zeros((count, _COLUMNS + harmonics, common + harmonics))
+    by_shared[:, :9, :common] = by_share
+    by_shared[:, _COLUMNS:, common:] = np.eye(harmonics)
+    phase = samples.phase
+    for step in range(steps + 1):
+        entries = own[:, :9] + by_share @ shared[:common]
+        matrices = predicted * (1 + entries.reshape(count, 3, 3))
+        besides, fitted_light = expected_ambient + own[:, 9:], light * (1 + shared[common:])
+        turns = _FIRST_TURNS if step == 0 and before is None else _TURNS
+        found = _equations(samples, matrices, predicted, besides, fitted_light, light, phase, turns)
+        phase = found.phase
+        gram = found.gram[:, :_COLUMNS, :_COLUMNS] + prior
+        beside = found.gram[:, :_COLUMNS] @ by_shared
+        corner = prior_shared + (by_shared.swapaxes(1, 2) @ found.gram @ by_shared).sum(axis=0)
+        # An arrow: own unknowns only touch those that all share.
+        off, off_shared = expected - own, usual - shared
+        right = found.right[:, :_COLUMNS] + (prior @ off[..., None])[..., 0]
+        right_shared = (found.right[:, None] @ by_shared)[:, 0].sum(axis=0) + prior_shared @ off_shared
+        solved = np.linalg.solve(gram, np.concatenate([beside, right[..., None]], axis=2))
+        by_own, alone = solved[..., :-1], solved[..., -1]
+        schur = corner - (beside.swapaxes(1, 2) @ by_own).sum(axis=0)
+        if step < steps:
+            change = np.linalg.solve(schur, right_shared - (beside.swapaxes(1, 2) @ alone[..., None])[..., 0].sum(axis=0))
+            shared = shared + change
+            own = own + alone - by_own @ change
+            now = by_share @ shared[:common]
+            own[:, :9] = np.clip(own[:, :9] + now, _LEAST, _MOST) - now
+    cost = found.cost + float((off[:, None] @ prior @ off[..., None]).sum() + off_shared @ prior_shared @ off_shared)
+    slope = _constant_slope(samples, matrices, predicted, besides, fitted_light, light)
+    own_slope, rest = slope[:, :_COLUMNS], (slope[:, None] @ by_shared)[:, 0]
+    rest = rest - (own_slope[:, None] @ by_own)[:, 0]
+    variance = (own_slope * np.linalg.solve(gram, own_slope[..., None])[..., 0]).sum(axis=1)
+    variance += (rest * np.linalg.solve(schur, rest.T).T).sum(axis=1)
     mismatch = _mismatch(matrices, predicted, light[:, 0])
     matrices = 3 * matrices / matrices.sum(axis=(1, 2), keepdims=True)
-    return FittedMatrices(matrices, besides, fitted_light, misfit, constant, mismatch, cost)
+    constant = np.sqrt(variance)
+    return FittedMatrices(matrices, besides, shared, fitted_light, found.misfit, constant, mismatch, cost)
 
 
 def _mismatch(matrices: _Array, predicted: _Array, fundamental: _Complexes) -> _Array:
@@ -283,77 +308,66 @@ def _mismatch(matrices: _Array, predicted: _Array, fundamental: _Complexes) -> _
     return np.asarray(np.sqrt((deviation**2).sum(axis=1) / 2))
 
 
-def _places(surface: int, count: int, harmonics: int) -> npt.NDArray[np.intp]:
-    """Return where what one surface depends on stands among all that is fitted."""
-    own = np.arange(_COLUMNS * surface, _COLUMNS * (surface + 1))
-    return np.concatenate([own, np.arange(_COLUMNS * count, _COLUMNS * count + harmonics)])
-
-
 def _constant_slope(
-    surface: SurfaceSamples,
-    matrix: _Array,
+    samples: SurfaceSamples,
+    matrices: _Array,
     predicted: _Array,
     ambient: _Array,
     light: _Complexes,
     known_light: _Complexes,
 ) -> _Array:
-    """Return how the mean error of the phase over a cycle changes with what is fitted."""
-    phase = np.linspace(-np.pi, np.pi, 96, endpoint=False)
+    """Return how the mean error of the phase over a cycle changes with what is fitted, (n, 12 + harmonics)."""
+    phase = np.linspace(-np.pi, np.pi, _PHASES, endpoint=False)
     p, change = waves(light, phase)
-    brightness = float(np.median((surface.light - ambient).sum(axis=1)) / matrix.sum())
-    brightness = max(brightness, 1e-3 * float(surface.light.mean()))
-    weight = 1 / np.sqrt(surface.variance.mean(axis=0))
-    m, d = p @ matrix.T * weight, change @ matrix.T * weight
-    across = d - (_dot(d, m) / _dot(m, m))[:, None] * m
-    across /= _dot(across, across)[:, None]
-    entries = weight[:, None] * predicted * p[:, None, :] * across[:, :, None]
-    columns = [entries.reshape(-1, 9), weight * across / brightness]
-    turns = np.exp(1j * np.arange(1, light.shape[1] + 1) * phase[:, None])
-    for h in range(light.shape[1]):
-        wave = (turns[:, h, None] * known_light[:, h]).real @ matrix.T * weight
-        columns.append(_dot(wave, across)[:, None])
-    return np.asarray(np.concatenate(columns, axis=1).mean(axis=0))
+    seen = (samples.light - ambient[:, None]).sum(axis=2)
+    brightness = np.median(seen, axis=1) / matrices.sum(axis=(1, 2))
+    brightness = np.maximum(brightness, 1e-3 * samples.light.mean(axis=(1, 2)))[:, None, None]
+    weight = 1 / np.sqrt(samples.variance.mean(axis=1, keepdims=True))
+    m, d = p @ matrices.swapaxes(1, 2) * weight, change @ matrices.swapaxes(1, 2) * weight
+    across = d - (_dot(d, m) / _dot(m, m))[..., None] * m
+    across /= _dot(across, across)[..., None]
+    turns = _turns(light.shape[1], phase, None)
+    columns = _columns(matrices, predicted, p, weight, turns, known_light, across / brightness, brightness)
+    return np.asarray(columns.mean(axis=1))
 
 
-def residuals(surface: SurfaceSamples, matrix: _Array, ambient: _Array, light: _Complexes) -> _Array:
-    """Return z of a surface's pixels, (..., N), in standard deviations, given matrices, ambient light and the light.
-
-    The matrices are (..., 3, 3): NumPy takes as long for two as for one.
-    """
-    weight = 1 / np.sqrt(surface.variance)
-    seen = (surface.light - ambient) * weight
-    found = _across(surface, seen, matrix, weight, light, surface.phase, _FIRST_TURNS)
-    return np.asarray(found.residual / np.sqrt(_contrast_variance(surface, matrix, weight, light, found)))
+def residuals(samples: SurfaceSamples, matrices: _Array, ambient: _Array, light: _Complexes) -> _Array:
+    """Return z of a surface's places, (n, S), in standard deviations, by several matrices, (n, 3, 3)."""
+    weight = 1 / np.sqrt(samples.variance)
+    seen = (samples.light - ambient) * weight
+    found = _across(samples, seen, matrices, weight, light, samples.phase, _FIRST_TURNS)
+    return np.asarray(found.residual / np.sqrt(_contrast_variance(samples, matrices, weight, light, found)))
 
 
 def _contrast_variance(
-    surface: SurfaceSamples, matrix: _Array, weight: _Array, light: _Complexes, found: "_Across"
+    samples: SurfaceSamples, matrices: _Array, weight: _Array, light: _Complexes, found: "_Across"
 ) -> _Array | float:
-    """Return the variance of z where a pixel's contrast is not quite the light's."""
-    if surface.contrast_doubt == 0:
+    """Return the variance of z where a place's contrast is not quite the light's."""
+    if samples.contrast_doubt == 0:
         return 1.0
-    swing = (surface.waves(light, found.phase)[0] - 1) @ matrix.swapaxes(-1, -2) * weight
-    return np.asarray(1 + (surface.contrast_doubt * found.brightness * _dot(swing, found.normal)) ** 2)
+    swing = (waves(light, found.phase, samples.contrast)[0] - 1) @ matrices.swapaxes(-1, -2) * weight
+    return np.asarray(1 + (samples.contrast_doubt * found.brightness * _dot(swing, found.normal)) ** 2)
 
 
 class _Across(NamedTuple):
-    """Pixels beside their model, in units of noise."""
+    """Places beside their model, in units of noise."""
 
-    phase: _Array  # (..., N) rad, what fits best
-    brightness: _Array  # (..., N) likewise
-    light: _Array  # (..., N, 3) K p
-    change: _Array  # (..., N, 3) its derivative by the phase
-    normal: _Array  # (..., N, 3) n
-    residual: _Array  # (..., N) z
+    phase: _Array  # (n, S) rad, what fits best
+    brightness: _Array  # (n, S) likewise
+    waves: _Array  # (n, S, 3) p
+    light: _Array  # (n, S, 3) K p
+    change: _Array  # (n, S, 3) its derivative by the phase
+    normal: _Array  # (n, S, 3) n
+    residual: _Array  # (n, S) z
 
 
 def _across(
-    surface: SurfaceSamples, seen: _Array, matrix: _Array, weight: _Array, light: _Complexes, phase: _Array, turns: int
+    samples: SurfaceSamples, seen: _Array, matrices: _Array, weight: _Array, light: _Complexes, phase: _Array, turns: int
 ) -> _Across:
-    """Find the phase and the brightness of pixels, and what these leave over."""
-    turned = matrix.swapaxes(-1, -2)
+    """Find the phase and the brightness of places, and what these leave over."""
+    turned = matrices.swapaxes(-1, -2)
     for turn in range(turns + 1):
-        p, change = surface.waves(light, phase)
+        p, change = waves(light, phase, samples.contrast)
         m, d = p @ turned * weight, change @ turned * weight
         square = _dot(m, m)
         brightness = np.maximum(_dot(seen, m) / square, 1e-9)
@@ -363,124 +377,139 @@ def _across(
             phase = phase + np.clip(step, -_PHASE_STEP, _PHASE_STEP)
     normal = m[..., (1, 2, 0)] * d[..., (2, 0, 1)] - m[..., (2, 0, 1)] * d[..., (1, 2, 0)]
     normal /= np.sqrt(_dot(normal, normal))[..., None]
-    return _Across(phase, brightness, m, d, normal, _dot(seen, normal))
+    return _Across(phase, brightness, p, m, d, normal, _dot(seen, normal))
+
+
+def _columns(
+    matrices: _Array,
+    predicted: _Array,
+    p: _Array,
+    weight: _Array,
+    turns: _Complexes,
+    known_light: _Complexes,
+    direction: _Array,
+    brightness: _Array,
+) -> _Array:
+    """Return how light changes in a direction, (n, S, 12 + harmonics), with all that is fitted.
+
+    Nine entries of K, as fractions; three of ambient light; the harmonics, as fractions.
+    """
+    weighed = weight * direction
+    entries = (brightness * weighed)[..., None] * predicted[:, None] * p[..., None, :]
+    wave = (turns * ((brightness * weighed) @ matrices @ known_light)).real
+    return np.concatenate([entries.reshape(*entries.shape[:2], 9), weighed, wave], axis=2)
 
 
 def _prior_of_surfaces(
-    samples: list[SurfaceSamples], prediction: PredictedMatrices, expected_ambient: _Array, ambient: _Array, leak: float
+    samples: SurfaceSamples, prediction: PredictedMatrices, expected_ambient: _Array, ambient: _Array, leak: float
 ) -> tuple[_Array, _Array]:
-    """Return the mean, (12 n,), and the inverse covariance, (12 n, 12 n), of what is fitted before pixels are seen.
+    """Return the mean, (n, 12), and the inverse covariance, (n, 12, 12), of a surface's own before pixels are seen.
 
     A channel with more ambient light has as much less in its row of K: the mean light is known.
     """
-    size, common = _COLUMNS * len(samples), prediction.by_share.shape[-1]
-    # Independent errors: the filters' shares; of every surface its entries, rows, contrasts and ambient light.
-    causes = np.zeros((size, common + size + 6 * len(samples)))
-    sigma, expected = [np.full(common, _SHARE)], np.zeros((len(samples), _COLUMNS))
-    for k, surface in enumerate(samples):
-        predicted, level = prediction.matrices[k], surface.light.mean(axis=0)
-        seen = np.maximum(level - ambient[k], _DIMMEST * level.max())
-        own = causes[_COLUMNS * k : _COLUMNS * (k + 1)]
-        entries, rows, lost, dimmed = np.split(own[:, common + 18 * k : common + 18 * (k + 1)], [9, 12, 15], axis=1)
-        own[:9, :common] = prediction.by_share[k].reshape(9, common)
-        entries[:9] = np.eye(9)
-        rows[:9] = np.repeat(np.eye(3), 3, axis=0)
-        # Less contrast looks like more crosstalk: the three primaries together have next to none.
-        even = predicted.sum(axis=1, keepdims=True) / (3 * np.maximum(predicted, 1e-9))
-        lost[:9] = (even - 1).reshape(9, 1) * rows[:9]
-        dimmed[:9], dimmed[9:] = -rows[:9] / seen, np.eye(3)
-        expected[k, :9] = np.repeat((ambient[k] - expected_ambient[k]) / seen, 3)
-        leaks = leak * predicted.sum(axis=1, keepdims=True) / np.maximum(predicted, 1e-9)
-        sigma += [
-            np.hypot(_SPREAD * prediction.spread[k], leaks).ravel(),
-            np.full(3, _ROW),
-            np.full(3, surface.contrast_doubt),
-            _AMBIENT_FRACTION * expected_ambient[k] + _AMBIENT_SHARE * level.mean(),
-        ]
-    scaled = causes * np.concatenate(sigma)
-    return expected.ravel(), np.linalg.inv(scaled @ scaled.T)
+    predicted, level = prediction.matrices, samples.light.mean(axis=1)
+    count = len(predicted)
+    seen = np.maximum(level - ambient, _DIMMEST * level.max(axis=1, keepdims=True))
+    # Independent errors: of every surface its entries, rows, contrasts and ambient light.
+    causes, rows = np.zeros((count, _COLUMNS, 18)), np.repeat(np.eye(3), 3, axis=0)
+    causes[:, :9, :9] = np.eye(9)
+    causes[:, :9, 9:12] = rows
+    # Less contrast looks like more crosstalk: the three primaries together have next to none.
+    even = predicted.sum(axis=1, keepdims=True) / (3 * np.maximum(predicted, 1e-9))
+    causes[:, :9, 12:15] = (even - 1).reshape(count, 9, 1) * rows
+    causes[:, :9, 15:], causes[:, 9:, 15:] = -rows / seen[:, None], np.eye(3)
+    expected = np.zeros((count, _COLUMNS))
+    expected[:, :9] = np.repeat((ambient - expected_ambient) / seen, 3, axis=1)
+    leaks = leak * predicted.sum(axis=1, keepdims=True) / np.maximum(predicted, 1e-9)
+    sigma = np.concatenate(
+        [
+            np.hypot(_SPREAD * prediction.spread[:, None, None], leaks).reshape(count, 9),
+            np.full((count, 3), _ROW),
+            np.full((count, 3), samples.contrast_doubt),
+            _AMBIENT_FRACTION * expected_ambient + _AMBIENT_SHARE * level.mean(axis=1, keepdims=True),
+        ],
+        axis=1,
+    )
+    scaled = causes * sigma[:, None]
+    return expected, np.linalg.inv(scaled @ scaled.swapaxes(1, 2))
 
 
-def _prior_of_light(light: _Complexes, contrast: float, harmonic: float) -> _Array:
+def _prior_of_light(light: _Complexes, doubt: LightDoubt) -> _Array:
     """Return one over the covariance of the harmonics, as fractions."""
     n, size_of = np.arange(1, light.shape[1] + 1), np.abs(light).mean(axis=0)
-    single = harmonic * size_of[0] / np.maximum(size_of, 1e-4)
-    return np.asarray(np.linalg.inv(contrast**2 + _BLUR**2 * np.outer(n**2, n**2) + np.diag(single**2)))
+    single = doubt.harmonic * size_of[0] / np.maximum(size_of, 1e-4)
+    return np.asarray(np.linalg.inv(doubt.contrast**2 + _BLUR**2 * np.outer(n**2, n**2) + np.diag(single**2)))
 
 
-def _beside(first: _Array, second: _Array) -> _Array:
-    """Return the matrix that has two others on its diagonal."""
-    nothing = np.zeros((len(first), len(second)))
-    return np.block([[first, nothing], [nothing.T, second]])
+class _Equations(NamedTuple):
+    """How z and the brightness change with all that is fitted: normal equations of every surface."""
+
+    phase: _Array  # (n, S) rad
+    gram: _Array  # (n, 12 + harmonics, 12 + harmonics)
+    right: _Array  # (n, 12 + harmonics)
+    misfit: _Array  # (n,) see `FittedMatrices`
+    cost: float
 
 
-class _Equations:
-    """Normal equations of one surface: how z and the brightness change with all that is fitted."""
+def _equations(
+    samples: SurfaceSamples,
+    matrices: _Array,
+    predicted: _Array,
+    ambient: _Array,
+    light: _Complexes,
+    known_light: _Complexes,
+    phase: _Array,
+    turns: int,
+) -> _Equations:
+    weight = 1 / np.sqrt(samples.variance)
+    rest = (samples.light - ambient[:, None]) * weight
+    found = _across(samples, rest, matrices, weight, light, phase, turns)
+    z, brightness, m, d = found.residual, found.brightness[..., None], found.light, found.change
+    level = np.sqrt((_dot(m, m) * found.brightness**2).mean(axis=1))
+    bright = m - (_dot(m, d) / _dot(d, d))[..., None] * d
+    bright /= _dot(bright, bright)[..., None] * brightness
+    waves_of = (matrices, predicted, found.waves, weight, _turns(light.shape[1], found.phase, samples.contrast))
+    of_z, of_brightness = (_columns(*waves_of, known_light, by, brightness) for by in (found.normal, bright))
+    usual = _HUBER * 1.48 * np.median(np.abs(z), axis=1, keepdims=True) + 1e-12
+    variance = _contrast_variance(samples, matrices, weight, light, found)
+    trust = np.minimum(1.0, usual / np.maximum(np.abs(z), 1e-12)) / variance
+    total = trust.sum(axis=1)
+    scatter = (trust * z * z).sum(axis=1) / total
+    misfit = np.sqrt(np.maximum((trust * (z * z - variance)).sum(axis=1) / total, 0)) / level
+    count = samples.share * total**2 / (trust**2).sum(axis=1)
+    information = (1 / ((_MISFIT * level) ** 2 + 4 * scatter / count) / total)[:, None]
+    weighted = (information * trust)[..., None] * of_z
+    gram, right = weighted.swapaxes(1, 2) @ of_z, (z[:, None] @ weighted)[:, 0]
+    change, seen, sure = _waves_of_brightness(samples, found, of_brightness)
+    gram += (sure[:, None, None] * change.swapaxes(1, 2)) @ change
+    right += sure[:, None] * (seen[:, None] @ change)[:, 0]
+    cost = float((information * trust * z * z).sum() + (sure[:, None] * seen**2).sum())
+    return _Equations(found.phase, gram, right, misfit, cost)
 
-    def __init__(
-        self,
-        surface: SurfaceSamples,
-        matrix: _Array,
-        predicted: _Array,
-        rest: _Array,
-        light: _Complexes,
-        known_light: _Complexes,
-        phase: _Array,
-        turns: int,
-    ) -> None:
-        weight = 1 / np.sqrt(surface.variance)
-        found = _across(surface, rest * weight, matrix, weight, light, phase, turns)
-        phase, brightness, m, d, normal, z = found
-        self.phase, p = phase, surface.waves(light, phase)[0]
-        level = np.sqrt((_dot(m, m) * brightness**2).mean())
-        # The columns: nine entries of K, as fractions; three of ambient light; the harmonics, as fractions.
-        size = 9 + 3 + light.shape[1]
-        of_z, of_brightness = np.empty((len(z), size)), np.empty((len(z), size))
-        bright = m - (_dot(m, d) / _dot(d, d))[:, None] * d
-        bright /= _dot(bright, bright)[:, None]
-        entries = weight[:, :, None] * predicted * p[:, None, :]
-        of_z[:, :9] = (brightness[:, None, None] * entries * normal[:, :, None]).reshape(-1, 9)
-        of_brightness[:, :9] = (entries * bright[:, :, None]).reshape(-1, 9)
-        of_z[:, 9:12] = weight * normal
-        of_brightness[:, 9:12] = weight * bright / brightness[:, None]
-        for h in range(light.shape[1]):
-            turning = np.exp(1j * (h + 1) * phase)
-            if surface.contrast is not None:
-                turning *= surface.contrast ** (h + 1) ** 2
-            wave = (turning[:, None] * known_light[:, h]).real @ matrix.T * weight
-            of_z[:, 12 + h] = brightness * _dot(wave, normal)
-            of_brightness[:, 12 + h] = _dot(wave, bright)
-        usual = _HUBER * 1.48 * np.median(np.abs(z)) + 1e-12
-        trust = np.minimum(1.0, usual / np.maximum(np.abs(z), 1e-12))
-        variance = _contrast_variance(surface, matrix, weight, light, found)
-        trust = trust / variance
-        total = trust.sum()
-        scatter = np.sqrt((trust * z * z).sum() / total)
-        self.misfit = float(np.sqrt(max((trust * (z * z - variance)).sum() / total, 0)) / level)
-        count = total**2 / (trust**2).sum()
-        information = 1 / ((_MISFIT * level) ** 2 + 4 * scatter**2 / count) / total
-        weighted = of_z * trust[:, None]
-        self.gram, self.right = information * weighted.T @ of_z, information * weighted.T @ z
-        self.cost = float(information * (trust * z * z).sum())
-        self._add_brightness(np.log(brightness / surface.around), of_brightness)
 
-    def _add_brightness(self, log_brightness: _Array, columns: _Array) -> None:
-        """Add that the brightness has no harmonics 1 and 2 over the phase."""
-        rest = log_brightness - np.median(log_brightness)
-        usual = np.abs(rest) < 0.5
-        if np.count_nonzero(usual) < 50:
-            return
-        turns = np.stack([np.cos(self.phase), np.sin(self.phase), np.cos(2 * self.phase), np.sin(2 * self.phase)])
-        turns = (turns - turns[:, usual].mean(axis=1, keepdims=True))[:, usual]
-        rest, columns = rest[usual] - rest[usual].mean(), (columns - columns.mean(axis=0))[usual]
-        inverse = np.linalg.inv(turns @ turns.T + 1e-3 * len(rest) * np.eye(4))
-        seen, change = inverse @ (turns @ rest), inverse @ (turns @ columns)
-        by_chance = 3 * max(float(rest.std()), 0.01) * np.sqrt(2 / len(rest))
-        information = 1 / (_BRIGHTNESS**2 + by_chance**2)
-        self.gram += information * change.T @ change
-        self.right += information * change.T @ seen
-        self.cost += float(information * seen @ seen)
+def _waves_of_brightness(samples: SurfaceSamples, found: _Across, columns: _Array) -> tuple[_Array, _Array, _Array]:
+    """Return harmonics 1 and 2 of the brightness over the phase, which has none.
+
+    How they change with what is fitted, (n, 4, 12 + harmonics), what they are, (n, 4), and how sure that is, (n,).
+    """
+    log_brightness = np.log(found.brightness / samples.around)
+    rest = log_brightness - np.median(log_brightness, axis=1, keepdims=True)
+    usual = (np.abs(rest) < _USUAL_BRIGHTNESS).astype(np.float64)
+    count = usual.sum(axis=1)
+    first = np.exp(1j * found.phase)
+    turns = np.stack([first.real, first.imag, (first**2).real, (first**2).imag], axis=1)
+    share = (usual / np.maximum(count, 1)[:, None])[:, None]
+    turns = (turns - (turns * share).sum(axis=2, keepdims=True)) * usual[:, None]
+    rest = rest - (rest * share[:, 0]).sum(axis=1, keepdims=True)
+    inverse = np.linalg.inv(turns @ turns.swapaxes(1, 2) + 1e-3 * count[:, None, None] * np.eye(4) + 1e-9 * np.eye(4))
+    # The turns' means are zero: columns and rest need not lose theirs.
+    change, seen = inverse @ (turns @ columns), (inverse @ (turns @ rest[..., None]))[..., 0]
+    spread = np.sqrt((rest**2 * share[:, 0]).sum(axis=1))
+    chance = 3 * np.maximum(spread, 0.01) * np.sqrt(2 / np.maximum(samples.share * count, 1))
+    sure = np.where(samples.share * count < _LEAST_BRIGHTNESS, 0, 1 / (_BRIGHTNESS**2 + chance**2))
+    return np.asarray(change), np.asarray(seen), np.asarray(sure)
 
 
 def _dot(a: _Array, b: _Array) -> _Array:
-    return np.asarray(np.einsum("...i,...i->...", a, b))
+    """Return products over the last axis, of length three: faster than `np.einsum`."""
+    return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2])

@@ -1,5 +1,7 @@
 """A surface's own matrix: predicted from its colour, and fitted to its pixels."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from support.colored_boards import MATRIX, PAINTS, light, surface_matrix
@@ -8,6 +10,7 @@ from tikernels.phase.surface_matrix import (
     BETWEEN,
     BROAD,
     NARROW,
+    LightDoubt,
     PredictedMatrices,
     SurfaceSamples,
     band_weights,
@@ -17,7 +20,7 @@ from tikernels.phase.surface_matrix import (
     waves,
 )
 
-DOUBTS = (0.004, 0.2, 0.0005)  # leak, contrast, harmonic
+DOUBT = LightDoubt(leak=0.004, contrast=0.2, harmonic=0.0005)
 COLORED = ("orange", "blue", "skin")
 HARMONICS = np.fft.fft(light(np.linspace(0, 2 * np.pi, 64, endpoint=False)), axis=0)[1:5].T / 64
 LIGHT = 2 * HARMONICS / light(np.linspace(0, 2 * np.pi, 64, endpoint=False)).mean(axis=0)[:, None]
@@ -28,15 +31,24 @@ def normalized(matrix: np.ndarray) -> np.ndarray:
 
 
 def pixels(
-    paint: str, *, noise: float = 0.5, count: int = 1200, off: float = 0.05, broad: float = 0.25
+    *paints: str, noise: float = 0.5, different: int = 1200, off: float = 0.05, broad: float = 0.25
 ) -> SurfaceSamples:
-    """Return pixels of a paint in ambient light of 6 levels, their phases a little off."""
-    rng = np.random.default_rng(7)
+    """Return 1200 pixels of each paint in ambient light of 6 levels, their phases a little off.
+
+    Of so many different ones.
+    """
+    rng, count = np.random.default_rng(7), 1200
     phase, brightness = rng.uniform(-np.pi, np.pi, count), rng.uniform(60, 140, count)
-    clean = brightness[:, None] * (waves(LIGHT, phase)[0] @ normalized(surface_matrix(PAINTS[paint], broad)).T) + 6
-    seen = clean + noise * rng.standard_normal(clean.shape)
-    variance = np.full(clean.shape, noise**2)
-    return SurfaceSamples(seen, variance, phase + off * rng.standard_normal(count), np.full(count, 100.0), 0.0)
+    of_paints = []
+    for paint in paints:
+        clean = brightness[:, None] * (waves(LIGHT, phase)[0] @ normalized(surface_matrix(PAINTS[paint], broad)).T) + 6
+        of_paints.append(clean + noise * rng.standard_normal(clean.shape))
+    which = np.arange(count) * different // count
+    seen = np.stack(of_paints)[:, which]
+    begin = (phase + off * rng.standard_normal(count))[which]
+    shape, share = seen.shape[:2], np.full(len(paints), different / count)
+    variance, around = np.full(seen.shape, noise**2), np.full(shape, 100.0)
+    return SurfaceSamples(seen, variance, np.tile(begin, (len(paints), 1)), around, np.ones(shape), share, 0.0)
 
 
 @pytest.mark.parametrize(("bands", "broad"), [(BROAD, 1.0), (NARROW, 0.0), (BETWEEN, 0.15)])
@@ -80,25 +92,25 @@ def test_blur_takes_more_of_higher_harmonics():
     np.testing.assert_allclose(slope, step, atol=1e-6)
 
 
-def fitted(paints: tuple[str, ...], light_off: float = 1.0, **more):
-    samples = [pixels(paint) for paint in paints]
-    colors = np.stack([s.light.mean(axis=0) - 6 for s in samples])
-    prediction = PredictedMatrices.of(colors, MATRIX, BETWEEN)
-    ambient = np.full((len(paints), 3), 5.0)
-    known = LIGHT * light_off
-    return fit_matrices(samples, prediction, ambient, ambient, known, *DOUBTS, **({"fit_light": True} | more))
+def fitted(samples: SurfaceSamples, light_off: float = 1.0, bands: np.ndarray = BETWEEN, colors=None, **more):
+    colors = samples.light.mean(axis=1) - 6 if colors is None else colors
+    prediction = PredictedMatrices.of(colors, MATRIX, bands)
+    ambient = np.full((len(samples.light), 3), 5.0)
+    return fit_matrices(
+        samples, prediction, ambient, ambient, LIGHT * light_off, DOUBT, **({"fit_light": True} | more)
+    )
 
 
 def test_pixels_tell_the_matrix_better_than_the_colour_does():
     """By the phase that pixels would get: its constant and its ripple, both within 0.01 rad, as is said of them."""
-    result = fitted(COLORED)
+    result = fitted(pixels(*COLORED))
     for paint, matrix, ambient, sigma in zip(
         COLORED, result.matrices, result.ambient, result.constant_sigma, strict=True
     ):
         truth = pixels(paint, noise=1e-3, off=0.0)
         beside = np.ones((len(truth.phase), 1)) * ambient
         model = fit_phases(truth, matrix, beside, result.light)
-        error = model - truth.phase
+        error = model - truth.phase[0]
         assert abs(error.mean()) < 0.01
         assert error.std() < 0.012
         assert abs(error.mean()) < 3 * sigma < 0.1
@@ -107,11 +119,11 @@ def test_pixels_tell_the_matrix_better_than_the_colour_does():
 
 def fit_phases(samples: SurfaceSamples, matrix: np.ndarray, ambient: np.ndarray, harmonics: np.ndarray) -> np.ndarray:
     """Find the phases by brute force: Gauss and Newton on brightness and phase."""
-    phase = samples.phase.copy()
+    phase = samples.phase[0].copy()
     brightness = np.full(len(phase), 100.0)
     for _ in range(12):
         value, slope = (part @ matrix.T for part in waves(harmonics, phase))
-        rest = samples.light - ambient - brightness[:, None] * value
+        rest = samples.light[0] - ambient - brightness[:, None] * value
         columns = np.stack([value, brightness[:, None] * slope], axis=2)
         step = np.stack([np.linalg.lstsq(c, r, rcond=None)[0] for c, r in zip(columns, rest, strict=True)])
         brightness, phase = brightness + step[:, 0], phase + step[:, 1]
@@ -120,40 +132,43 @@ def fit_phases(samples: SurfaceSamples, matrix: np.ndarray, ambient: np.ndarray,
 
 def test_the_light_is_told_too():
     """Contrast lost to blur is common to all surfaces."""
-    result = fitted(COLORED, light_off=1.15)
+    result = fitted(pixels(*COLORED), light_off=1.15)
     np.testing.assert_allclose(np.abs(result.light[:, 0]) / np.abs(LIGHT[:, 0]), 1, atol=0.05)
-    kept = fitted(COLORED, light_off=1.15, fit_light=False)
+    kept = fitted(pixels(*COLORED), light_off=1.15, fit_light=False)
     np.testing.assert_allclose(kept.light, 1.15 * LIGHT, rtol=1e-6)
     assert kept.cost > 2 * result.cost
 
 
 def test_what_acts_otherwise_costs_more():
-    samples = [pixels(paint) for paint in COLORED]
-    colors = np.stack([s.light.mean(axis=0) - 6 for s in samples])
-    ambient = np.full((3, 3), 6.0)
-    costs = [
-        fit_matrices(
-            samples, PredictedMatrices.of(colors, MATRIX, bands), ambient, ambient, LIGHT, *DOUBTS, fit_light=True
-        ).cost
-        for bands in (BETWEEN, BROAD)
-    ]
-    assert costs[0] < 0.5 * costs[1]
+    samples = pixels(*COLORED)
+    assert fitted(samples).cost < 0.5 * fitted(samples, bands=BROAD).cost
 
 
 def test_surfaces_are_fitted_together():
     """Lasers obey M diag(rho): a surface of which few pixels are seen learns it from the others."""
-    small = pixels("blue", noise=2.0, count=80, broad=0.0)
     expected = normalized(surface_matrix(PAINTS["blue"], 0.0))
+    small = pixels("blue", noise=2.0, different=80, broad=0.0)
+    clear = pixels("blue", "orange", "skin", broad=0.0)
+    both = {
+        name: np.concatenate([getattr(small, name), getattr(clear, name)[1:]])
+        for name in ("light", "variance", "phase", "around", "contrast", "share")
+    }
 
-    def off(others: tuple[str, ...]) -> float:
-        samples = [small, *(pixels(paint, broad=0.0) for paint in others)]
-        colors = np.array([expected.sum(axis=1), *(s.light.mean(axis=0) - 6 for s in samples[1:])])
-        ambient = np.full((len(samples), 3), 6.0)
-        prediction = PredictedMatrices.of(colors, MATRIX, BETWEEN)
-        result = fit_matrices(samples, prediction, ambient, ambient, LIGHT, *DOUBTS, fit_light=True)
-        return float(np.abs(result.matrices[0] - expected).max())
+    def off(samples: SurfaceSamples) -> float:
+        colors = np.array([expected.sum(axis=1), *(samples.light[1:].mean(axis=1) - 6)])
+        return float(np.abs(fitted(samples, colors=colors).matrices[0] - expected).max())
 
-    assert off(("orange", "skin")) < 0.85 * off(())
+    assert off(replace(clear, **both)) < 0.85 * off(small)
+
+
+def test_a_fit_goes_on_where_the_last_one_ended():
+    """One step more changes nothing, and a new surface joins those that are known."""
+    samples = pixels(*COLORED)
+    first = fitted(samples)
+    again = fitted(samples, before=first, steps=1)
+    np.testing.assert_allclose(again.matrices, first.matrices, atol=2e-3)
+    joined = fitted(samples, before=first.only([0, 1]))
+    np.testing.assert_allclose(joined.matrices, first.matrices, atol=2e-3)
 
 
 def test_how_predictions_change_with_the_filters_shares():
@@ -169,7 +184,7 @@ def test_how_predictions_change_with_the_filters_shares():
 
 
 def test_a_part_of_the_surfaces():
-    result = fitted(COLORED)
+    result = fitted(pixels(*COLORED))
     part = result.only([2, 0])
     np.testing.assert_array_equal(part.matrices, result.matrices[[2, 0]])
     np.testing.assert_array_equal(part.constant_sigma, result.constant_sigma[[2, 0]])
@@ -179,6 +194,6 @@ def test_a_part_of_the_surfaces():
 def test_residuals_are_noise_where_the_matrix_is_right():
     samples = pixels("orange")
     right, wrong = surface_matrix(PAINTS["orange"]), surface_matrix(PAINTS["orange"], 1.0)
-    left = [residuals(samples, normalized(matrix), np.full(3, 6.0), LIGHT) for matrix in (right, wrong)]
+    left = residuals(samples, np.stack([normalized(right), normalized(wrong)]), np.full(3, 6.0), LIGHT)
     assert 0.9 < left[0].std() < 1.1
     assert left[1].std() > 2
