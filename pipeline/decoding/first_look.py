@@ -120,10 +120,10 @@ class FirstLook:
         """Places all over the frame, one a node's column, and their light."""
         rows = 1 << max(0, int(math.log2(self.gains.period_px / _ROWS_A_CYCLE)))
         nodes = (self.contrast, self.spacing_px, self.levels)
-        seen = average_light(
-            self.device_image, self.gains, self.crosstalk, *nodes, rows, self.gains.spacing_px
-        )
+        seen = average_light(self.device_image, self.gains, self.crosstalk, *nodes, rows, self.gains.spacing_px)
         light, contrast = (runtime.to_host(part) for part in seen)
+        # The bare phase does not go evenly over a cycle.
+        contrast = cv2.blur(contrast, (1, max(1, round(self.gains.period_px / rows))))
         return Lattice(light, contrast, rows, self.gains.spacing_px, self.gains.period_px)
 
     @cached_property

@@ -34,6 +34,7 @@ from tikernels.phase.surface_matrix import (
     PredictedMatrices,
     SurfaceSamples,
     fit_matrices,
+    predict_matrices,
 )
 from tikernels.phase.surfaces import NO_SURFACE, Surfaces
 
@@ -43,14 +44,14 @@ _Complexes = npt.NDArray[np.complex128]
 
 # Places of each surface that are asked; those near its edges, where the other side's light is blurred in, only if the
 # inside has fewer than the second; and a surface has at least the third.
-_SAMPLES, _FEW_SAMPLES, _LEAST_SAMPLES = 300, 60, 20
+_SAMPLES, _FEW_SAMPLES, _LEAST_SAMPLES = 500, 60, 20
 _MARGIN_PX = 17
 # They are spread evenly: the golden section, whose multiples come nowhere near each other.
 _GOLDEN = 0.6180339887498949
-# Turns at the most; the first of these tell the common light, too; the last makes no new surfaces; new ones a turn.
-_TURNS, _OF_LIGHT, _NEW = 4, 2, 3
-# Newton's steps in the first turn, and in all others.
-_FIRST_STEPS, _STEPS = 2, 1
+# Turns at the most; the first of these tell the common light, too; the last make no new surfaces; new ones a turn.
+_TURNS, _OF_LIGHT, _LAST, _NEW = 4, 2, 2, 5
+# Newton's steps a turn, which begins where the last one ended.
+_STEPS = 2
 # The search ends once fewer places than this share change.
 _SETTLED = 0.005
 # Surfaces at the most.
@@ -68,7 +69,7 @@ _PHASE_OF_LIGHT = 2.0
 # The window in which the light of a new surface is averaged, in cycles.
 _COLOR_CYCLES = 1.0
 # The width of an edge between two colours, px.
-_EDGE_PX = 13
+_EDGE_PX = 9
 # A matrix makes of a pixel's light what is there but for this fraction.
 _MODEL_ERROR = 0.01
 # Ambient light is at most this share of a surface's.
@@ -98,7 +99,7 @@ class KnownLight:
         """Return one cycle of a neutral surface's channels."""
         return known_template(self.matrix, np.concatenate([np.ones((3, 1)), light / 2], axis=1))
 
-    def crosstalk(self, matrices: FloatArray, labels: _Labels | None, ambient: FloatArray) -> Crosstalk:
+    def crosstalk(self, matrices: FloatArray, labels: _Labels, ambient: FloatArray) -> Crosstalk:
         """Return the crosstalk with these surfaces, their neutral channels scaled to the same noise."""
         unmixing = np.asarray(np.linalg.inv(self.matrix), np.float64)
         mixing, waves = matrices @ unmixing, phase_weights(unmixing)[:2]
@@ -183,20 +184,19 @@ class SurfaceSearch:
 
     def run(self, first_turn: int = 0) -> FoundSurfaces | NoModelFits | None:
         """Look for the surfaces; None: there is but one, which acts as the balance alone undoes."""
-        settled = False
-        for turn in range(first_turn, _TURNS):
+        turn, settled = first_turn, False
+        while True:
             ends = settled or turn == _TURNS - 1
             fitted = self._fit(turn, ends=ends)
             if fitted is None:
                 return None
             before, new = self._labels, self._relabel(fitted)
-            fitted = self._keep(new, fitted)
+            kept = self._keep(new, fitted)
             if ends:
-                break
-            settled = turn >= _OF_LIGHT and bool(np.mean(before != new.labels) < _SETTLED)
-            if turn >= _OF_LIGHT - 1:
-                settled &= not self._add(new.unexplained & ~self._tried)
-        return self._found(new, fitted)
+                return self._found(new, kept)
+            settled = turn >= _TURNS - _LAST or not self._add(new.unexplained & ~self._tried)
+            settled &= turn >= _OF_LIGHT and bool(np.mean(before != new.labels) < _SETTLED)
+            turn += 1
 
     def follow(self, before: FoundSurfaces) -> FoundSurfaces | NoModelFits | None:
         """Look for the surfaces of a frame that begin as those of the frame before."""
@@ -272,7 +272,7 @@ class SurfaceSearch:
                 known.doubt,
                 self._fitted,
                 fit_light=turn < _OF_LIGHT,
-                steps=_FIRST_STEPS if turn == 0 else _STEPS,
+                steps=_STEPS,
             )
             for bands in self._bands
         ]
@@ -304,14 +304,15 @@ class SurfaceSearch:
         ambient = np.zeros((len(chosen), 3)) if self._ambient is None else self._ambient
         light = lattice.light.reshape(-1, 3)[places].astype(np.float64)
         contrast = lattice.contrast.ravel()[places].astype(np.float64)
-        weights = phase_weights(np.asarray(np.linalg.inv(known.matrix), np.float64), known.lag)
+        matrices = predict_matrices(self._colors, known.matrix * known.white[:, None], self._bands[0])
+        if self._fitted is not None:
+            matrices[: len(self._fitted.matrices)] = self._fitted.matrices
+        unmixing = phase_weights(np.asarray(np.linalg.inv(matrices), np.float64), known.lag)
         around = (look.around.ravel()[places], contrast)
-        weights = weights / self._colors[:, None]
-        return look.surface_samples(light, *around, weights, ambient, share, known.contrast_doubt)
+        return look.surface_samples(light, *around, unmixing, ambient, share, known.contrast_doubt)
 
     def _neutral(self, fitted: FittedMatrices) -> NeutralLight:
-        known = self._known
-        return NeutralLight.of(known.crosstalk(fitted.matrices, None, fitted.ambient), known.template(fitted.light))
+        return NeutralLight.of(fitted.matrices, fitted.ambient, fitted.light, self._known.lag)
 
     def _relabel(self, fitted: FittedMatrices, *, afresh: bool = False) -> Relabelled:
         """Give every place to the surface that explains it best."""

@@ -23,16 +23,17 @@ from tikernels import checks, runtime
 from tikernels._taichi import AnyArray3, F32Array1, F32Array2, F32Array3, I32Array2, U8Array2, f32, i32, ti, vec3
 from tikernels.arrays import F32, I32, U8, LevelsImage
 from tikernels.launching import kernel
-from tikernels.phase.channel_template import channel_harmonics
 from tikernels.phase.color_balance import Gains, gain_at
 from tikernels.phase.crosstalk import Crosstalk, weighed_vector
 from tikernels.phase.frame_statistics import FrameLevels
-from tikernels.phase.phase_vector import arctangent, color_at, matrix_of, modulation_of
+from tikernels.phase.phase_vector import arctangent, color_at, matrix_of, modulation_of, phase_weights
+from tikernels.phase.surface_matrix import waves
 from tikernels.phase.surfaces import NO_SURFACE, surface_ambient, surface_matrix
 from tikernels.raw.linearization import LEVEL_TYPES
 from tikernels.strips import strip_count
 
 _Misfits = npt.NDArray[np.float32]
+_Array = npt.NDArray[np.float64]
 _Labels = npt.NDArray[np.uint8]
 _Mask = npt.NDArray[np.bool_]
 
@@ -42,7 +43,7 @@ _MODEL_ERROR, _AMBIENT_ERROR = 0.009, 0.04
 # place's contrast: ambient light is not quite even over a surface.
 _LOST_DOUBT, _UNEVEN = 0.6, 0.01
 # A code's contrast, which goes in straight lines from cycle to cycle, is off its mean around where the lines meet.
-_CORNERS = 0.05
+_CORNERS = 0.02
 # A place that fits no surface counts no more than this against one, and less where a whole neighbourhood is judged.
 _MOST, _MOST_AROUND = 16.0, 4.0
 # Pixels on either side in a mean, along the stripes: the noise of single ones biases the fitted matrices.
@@ -57,10 +58,11 @@ _wide_lanes = ti.types.vector(_AT_ONCE + 2 * _BESIDE, ti.f32)
 _BINS = 256
 # A code's contrast is told by what is around, a Gaussian in cycles; residuals count in full up to this many standard
 # deviations.
-_CODE_CYCLES, _TRUSTED = 0.25, 3.0
+_CODE_CYCLES, _TRUSTED = 0.3, 3.0
 # The light of a place that says nothing, and what is left of it.
 _SAYS_NOTHING = -1e9
-# Gaussians that misfits are averaged over: px across the stripes, and along them where pixels are asked; cycles, and how much that one counts.
+# Gaussians that misfits are averaged over: px across the stripes, and along them where pixels are asked; cycles, and
+# how much that one counts.
 _NEAR_PX, _ALONG_PX = 1.6, 2.0
 _AROUND_CYCLES, _AROUND = 0.4, 0.5
 _ALONE = np.ones(1)
@@ -72,6 +74,8 @@ _EDGE_PX = 8
 # its own model does not fit them, for the second.
 LEAST_PX = 400
 _BETTER, _MUCH_BETTER = 0.3, 1.0
+# So is one of which no more than this share is inside: a mixture of two along their edge.
+_LINE = 0.03
 # No surface explains a place with a larger misfit, or a neighbourhood with one larger than this, also in units of what
 # is usual in the frame.
 _UNEXPLAINED, _UNEXPLAINED_AROUND, _UNUSUAL = 3.0, 1.4, 1.6
@@ -123,17 +127,31 @@ class NeutralLight(NamedTuple):
     """(2, bins + 1) b over a at the bare phase from -pi to pi, and its derivative."""
 
     @classmethod
-    def of(cls, crosstalk: Crosstalk, template: npt.NDArray[np.float32]) -> "NeutralLight":
-        """Return that of surfaces, given one cycle of a neutral surface's channels."""
-        weights, harmonics = crosstalk.weights.astype(np.float64), channel_harmonics(template)
-        turns = np.exp(1j * np.linspace(-np.pi, np.pi, _BINS, endpoint=False)[:, None])
-        cosine, sine, mean = weights @ (1 + (turns ** np.arange(1, harmonics.shape[1] + 1) @ harmonics.T).real).T
-        bare, phases = np.arctan2(sine, cosine), np.linspace(-np.pi, np.pi, _BINS + 1)
-        rho = np.interp(phases, bare, np.hypot(cosine, sine) / mean, period=2 * np.pi)
+    def of(
+        cls, matrices: _Array, ambient: _Array, light: npt.NDArray[np.complex128], lag: _Array | None = None
+    ) -> "NeutralLight":
+        """Return that of surfaces.
+
+        Parameters
+        ----------
+        matrices : (N, 3, 3)
+            K of each, up to a factor; see `surface_matrix.py`.
+        ambient : (N, 3)
+            levels.
+        light : (3, harmonics) complex128
+            Of the projector's light over its mean, from the first on.
+        lag : (3,), optional
+            See `channel_delays`.
+        """
+        sent = waves(light, np.linspace(-np.pi, np.pi, _BINS, endpoint=False))[0]
+        vectors = phase_weights(np.eye(3), lag)
+        cosine, sine, mean = vectors @ sent.T
+        phases = np.linspace(-np.pi, np.pi, _BINS + 1)
+        rho = np.interp(phases, np.arctan2(sine, cosine), np.hypot(cosine, sine) / mean, period=2 * np.pi)
         slope = (np.roll(rho[:-1], -1) - np.roll(rho[:-1], 1)) * (_BINS / (4 * np.pi))
-        unmixing = (weights @ crosstalk.surfaces.unmixing).astype(np.float32)
-        table = np.stack([rho, np.append(slope, slope[0])]).astype(np.float32)
-        return cls(unmixing, crosstalk.surfaces.ambient, table)
+        table = np.stack([rho, np.append(slope, slope[0])])
+        tables = (vectors @ np.linalg.inv(matrices), ambient, table)
+        return cls(*(np.ascontiguousarray(part, np.float32) for part in tables))
 
 
 class Relabelled(NamedTuple):
@@ -325,7 +343,14 @@ def surface_misfits(lattice: Lattice, neutral: NeutralLight, levels: FrameLevels
 
 
 def _misfits(
-    light: F32, contrast: F32, cells: I32, neutral: NeutralLight, levels: FrameLevels, pixels: int, even: float, *out: F32
+    light: F32,
+    contrast: F32,
+    cells: I32,
+    neutral: NeutralLight,
+    levels: FrameLevels,
+    pixels: int,
+    even: float,
+    *out: F32,
 ) -> None:
     """Do what `surface_misfits_kernel` does with means over some pixels."""
     noise = (levels.read_noise**2 / pixels, levels.noise_gain / pixels)
@@ -377,10 +402,15 @@ def relabel(
     own = (before[said] == np.arange(len(misfits))[:, None]).astype(np.float32)
     sizes = own.sum(axis=1)
     means = (own @ averages[:, said].T) / np.maximum(sizes, 1)[:, None]
+
+    def inside(surface: int) -> int:
+        """Return how many places show a surface like all eight around them."""
+        return cv2.countNonZero(cv2.erode((said & (before == surface)).astype(np.uint8), np.ones((3, 3), np.uint8)))
+
     for k in sorted(kept, key=lambda k: (bool(founding[k]), sizes[k])):
         others = [j for j in kept if j != k]
         rivals = [j for j in others if founding[j] or not founding[k]]
-        if others and sizes[k] == 0:
+        if others and inside(k) <= _LINE * sizes[k]:
             kept = others
         elif rivals and means[k, rivals].min() - means[k, k] < (_BETTER if fits[k] else _MUCH_BETTER):
             kept = others
@@ -544,8 +574,8 @@ def choose_surfaces(
     # A pixel does not tell what its cycle's contrast is.
     even = float(np.hypot(code_doubt, _UNEVEN))
     _misfits(light, contrast, cells, neutral, levels, 1, even, misfits, by_contrast)
-    weights = (
+    near, along = (
         np.exp(-0.5 * (np.arange(reach + 1) / sigma) ** 2).astype(np.float32)
         for reach, sigma in ((3, _NEAR_PX), (_BESIDE, _ALONG_PX))
     )
-    choose_surfaces_kernel(misfits, around, cells, *weights, lattice.rows, lattice.columns, out)
+    choose_surfaces_kernel(misfits, around, cells, near, along, lattice.rows, lattice.columns, out)

@@ -260,7 +260,7 @@ def fit_matrices(
     if not fit_light:
         usual[common:] = shared[common:]
     prior_shared[common:, common:] = _prior_of_light(light, doubt) if fit_light else 1e12 * np.eye(harmonics)
-    # What z and the brightness change with, (n, 12 + harmonics), as a function of a surface's own and of what all share.
+    # How what z and the brightness change with, 12 + harmonics numbers, changes with what all surfaces share.
     by_shared = np.zeros((count, _COLUMNS + harmonics, common + harmonics))
     by_shared[:, :9, :common] = by_share
     by_shared[:, _COLUMNS:, common:] = np.eye(harmonics)
@@ -283,7 +283,9 @@ def fit_matrices(
         by_own, alone = solved[..., :-1], solved[..., -1]
         schur = corner - (beside.swapaxes(1, 2) @ by_own).sum(axis=0)
         if step < steps:
-            change = np.linalg.solve(schur, right_shared - (beside.swapaxes(1, 2) @ alone[..., None])[..., 0].sum(axis=0))
+            change = np.linalg.solve(
+                schur, right_shared - (beside.swapaxes(1, 2) @ alone[..., None])[..., 0].sum(axis=0)
+            )
             shared = shared + change
             own = own + alone - by_own @ change
             now = by_share @ shared[:common]
@@ -362,7 +364,13 @@ class _Across(NamedTuple):
 
 
 def _across(
-    samples: SurfaceSamples, seen: _Array, matrices: _Array, weight: _Array, light: _Complexes, phase: _Array, turns: int
+    samples: SurfaceSamples,
+    seen: _Array,
+    matrices: _Array,
+    weight: _Array,
+    light: _Complexes,
+    phase: _Array,
+    turns: int,
 ) -> _Across:
     """Find the phase and the brightness of places, and what these leave over."""
     turned = matrices.swapaxes(-1, -2)

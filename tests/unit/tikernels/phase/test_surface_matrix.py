@@ -96,9 +96,7 @@ def fitted(samples: SurfaceSamples, light_off: float = 1.0, bands: np.ndarray = 
     colors = samples.light.mean(axis=1) - 6 if colors is None else colors
     prediction = PredictedMatrices.of(colors, MATRIX, bands)
     ambient = np.full((len(samples.light), 3), 5.0)
-    return fit_matrices(
-        samples, prediction, ambient, ambient, LIGHT * light_off, DOUBT, **({"fit_light": True} | more)
-    )
+    return fit_matrices(samples, prediction, ambient, ambient, LIGHT * light_off, DOUBT, **({"fit_light": True} | more))
 
 
 def test_pixels_tell_the_matrix_better_than_the_colour_does():
