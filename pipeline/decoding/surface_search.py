@@ -50,8 +50,8 @@ _MARGIN_PX = 17
 _GOLDEN = 0.6180339887498949
 # Turns at the most; the first of these tell the common light, too; the last make no new surfaces; new ones a turn.
 _TURNS, _OF_LIGHT, _LAST, _NEW = 4, 2, 2, 5
-# Newton's steps a turn, which begins where the last one ended.
-_STEPS = 2
+# Newton's steps in the first turn, and in those that begin where the last one ended.
+_FIRST_STEPS, _STEPS = 2, 1
 # The search ends once fewer places than this share change.
 _SETTLED = 0.005
 # Surfaces at the most.
@@ -272,7 +272,7 @@ class SurfaceSearch:
                 known.doubt,
                 self._fitted,
                 fit_light=turn < _OF_LIGHT,
-                steps=_STEPS,
+                steps=_FIRST_STEPS if self._fitted is None else _STEPS,
             )
             for bands in self._bands
         ]

@@ -70,7 +70,7 @@ _LEAST, _MOST = -0.7, 1.5
 # A step of Gauss and Newton in the phase goes no further than this, rad.
 _PHASE_STEP = 0.2
 # Such steps at first, and then with every step of the matrices.
-_FIRST_TURNS, _TURNS = 3, 1
+_FIRST_TURNS, _TURNS = 2, 1
 # The brightness tells where it is not further than this from what is usual, as a logarithm, and on so many places.
 _USUAL_BRIGHTNESS, _LEAST_BRIGHTNESS = 0.5, 30
 # Places of the cycle that the phase's constant is the mean of.
@@ -222,7 +222,7 @@ def fit_matrices(
     before: FittedMatrices | None = None,
     *,
     fit_light: bool,
-    steps: int = 3,
+    steps: int = 4,
 ) -> FittedMatrices:
     """Fit the matrix of every surface, its ambient light, and the light that all have in common.
 
@@ -264,42 +264,66 @@ def fit_matrices(
     by_shared = np.zeros((count, _COLUMNS + harmonics, common + harmonics))
     by_shared[:, :9, :common] = by_share
     by_shared[:, _COLUMNS:, common:] = np.eye(harmonics)
-    phase = samples.phase
-    for step in range(steps + 1):
-        entries = own[:, :9] + by_share @ shared[:common]
-        matrices = predicted * (1 + entries.reshape(count, 3, 3))
-        besides, fitted_light = expected_ambient + own[:, 9:], light * (1 + shared[common:])
-        turns = _FIRST_TURNS if step == 0 and before is None else _TURNS
+    model, phase = (predicted, by_share, expected_ambient, light), samples.phase
+    for step in range(steps):
+        matrices, besides, fitted_light = _unpacked(*model, own, shared)
+        turns = _FIRST_TURNS if step == 0 else _TURNS
         found = _equations(samples, matrices, predicted, besides, fitted_light, light, phase, turns)
-        phase = found.phase
-        gram = found.gram[:, :_COLUMNS, :_COLUMNS] + prior
-        beside = found.gram[:, :_COLUMNS] @ by_shared
-        corner = prior_shared + (by_shared.swapaxes(1, 2) @ found.gram @ by_shared).sum(axis=0)
-        # An arrow: own unknowns only touch those that all share.
-        off, off_shared = expected - own, usual - shared
+        phase, off, off_shared = found.phase, expected - own, usual - shared
+        arrow = _Arrow.of(found.gram, prior, prior_shared, by_shared)
         right = found.right[:, :_COLUMNS] + (prior @ off[..., None])[..., 0]
         right_shared = (found.right[:, None] @ by_shared)[:, 0].sum(axis=0) + prior_shared @ off_shared
-        solved = np.linalg.solve(gram, np.concatenate([beside, right[..., None]], axis=2))
-        by_own, alone = solved[..., :-1], solved[..., -1]
-        schur = corner - (beside.swapaxes(1, 2) @ by_own).sum(axis=0)
-        if step < steps:
-            change = np.linalg.solve(
-                schur, right_shared - (beside.swapaxes(1, 2) @ alone[..., None])[..., 0].sum(axis=0)
-            )
-            shared = shared + change
-            own = own + alone - by_own @ change
-            now = by_share @ shared[:common]
-            own[:, :9] = np.clip(own[:, :9] + now, _LEAST, _MOST) - now
-    cost = found.cost + float((off[:, None] @ prior @ off[..., None]).sum() + off_shared @ prior_shared @ off_shared)
+        change, change_shared = arrow.solve(right, right_shared)
+        cost = found.cost + float(
+            (off[:, None] @ prior @ off[..., None]).sum() + off_shared @ prior_shared @ off_shared
+        )
+        own, shared = own + change, shared + change_shared
+        now = by_share @ shared[:common]
+        own[:, :9] = np.clip(own[:, :9] + now, _LEAST, _MOST) - now
+    matrices, besides, fitted_light = _unpacked(*model, own, shared)
     slope = _constant_slope(samples, matrices, predicted, besides, fitted_light, light)
-    own_slope, rest = slope[:, :_COLUMNS], (slope[:, None] @ by_shared)[:, 0]
-    rest = rest - (own_slope[:, None] @ by_own)[:, 0]
-    variance = (own_slope * np.linalg.solve(gram, own_slope[..., None])[..., 0]).sum(axis=1)
-    variance += (rest * np.linalg.solve(schur, rest.T).T).sum(axis=1)
+    constant = np.sqrt(arrow.variance(slope[:, :_COLUMNS], (slope[:, None] @ by_shared)[:, 0]))
     mismatch = _mismatch(matrices, predicted, light[:, 0])
     matrices = 3 * matrices / matrices.sum(axis=(1, 2), keepdims=True)
-    constant = np.sqrt(variance)
     return FittedMatrices(matrices, besides, shared, fitted_light, found.misfit, constant, mismatch, cost)
+
+
+def _unpacked(
+    predicted: _Array, by_share: _Array, expected_ambient: _Array, light: _Complexes, own: _Array, shared: _Array
+) -> tuple[_Array, _Array, _Complexes]:
+    """Return the matrices, the ambient light and the projector's, given what is fitted of them."""
+    common = by_share.shape[2]
+    entries = own[:, :9] + by_share @ shared[:common]
+    matrices = predicted * (1 + entries.reshape(-1, 3, 3))
+    return matrices, expected_ambient + own[:, 9:], light * (1 + shared[common:])
+
+
+class _Arrow(NamedTuple):
+    """Equations in which a surface's own unknowns meet only those that all share."""
+
+    gram: _Array  # (n, 12, 12)
+    beside: _Array  # (n, 12, shared)
+    solved: _Array  # (n, 12, shared) the first's inverse times the second
+    rest: _Array  # (shared, shared) what the shared ones have once their own are solved
+
+    @classmethod
+    def of(cls, gram: _Array, prior: _Array, prior_shared: _Array, by_shared: _Array) -> "_Arrow":
+        own, beside = gram[:, :_COLUMNS, :_COLUMNS] + prior, gram[:, :_COLUMNS] @ by_shared
+        solved = np.linalg.solve(own, beside)
+        corner = prior_shared + (by_shared.swapaxes(1, 2) @ gram @ by_shared).sum(axis=0)
+        return cls(own, beside, solved, corner - (beside.swapaxes(1, 2) @ solved).sum(axis=0))
+
+    def solve(self, right: _Array, right_shared: _Array) -> tuple[_Array, _Array]:
+        """Return the own unknowns, (n, 12), and the shared ones."""
+        alone = np.linalg.solve(self.gram, right[..., None])[..., 0]
+        shared = np.linalg.solve(self.rest, right_shared - (alone[:, None] @ self.beside)[:, 0].sum(axis=0))
+        return alone - self.solved @ shared, shared
+
+    def variance(self, slope: _Array, slope_shared: _Array) -> _Array:
+        """Return that of what changes with the unknowns by these slopes, (n, 12) and (n, shared)."""
+        rest = slope_shared - (slope[:, None] @ self.solved)[:, 0]
+        own = (slope * np.linalg.solve(self.gram, slope[..., None])[..., 0]).sum(axis=1)
+        return np.asarray(own + (rest * np.linalg.solve(self.rest, rest.T).T).sum(axis=1))
 
 
 def _mismatch(matrices: _Array, predicted: _Array, fundamental: _Complexes) -> _Array:
