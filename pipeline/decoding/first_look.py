@@ -119,7 +119,7 @@ class FirstLook:
     def lattice(self) -> Lattice:
         """Places all over the frame, one a node's column, and their light."""
         rows = 1 << max(0, int(math.log2(self.gains.period_px / _ROWS_A_CYCLE)))
-        nodes = (self.contrast, self.spacing_px, self.levels)
+        nodes = (self.contrast, self.spacing_px, self.unlit, self.levels)
         seen = average_light(self.device_image, self.gains, self.crosstalk, *nodes, rows, self.gains.spacing_px)
         light, contrast = (runtime.to_host(part) for part in seen)
         # The bare phase does not go evenly over a cycle.

@@ -237,7 +237,7 @@ class SurfaceSearch:
         labels = np.where(look.unlit, NO_SURFACE, labels).astype(np.uint8)
         if len(fitted.matrices) > 1:
             cells = cells_of_pixels(lattice, new.labels, (height, width))
-            nodes = (look.contrast, look.spacing_px, look.levels)
+            nodes = (look.contrast, look.spacing_px, look.unlit, look.levels)
             seen = average_light(look.device_image, look.gains, look.crosstalk, *nodes, 1, 1, 0, cells)
             neutral, doubt = self._neutral(fitted), self._known.contrast_doubt
             choose_surfaces(*seen, cells, neutral, look.levels, doubt, lattice, new.around, labels)

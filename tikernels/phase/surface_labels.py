@@ -98,7 +98,7 @@ class Lattice(NamedTuple):
 
     @property
     def says(self) -> _Mask:
-        """(h, w) which places are not clipped."""
+        """(h, w) which places show a fringe, and are not clipped."""
         return np.asarray(self.light[..., 0] > _SAYS_NOTHING)
 
     @property
@@ -175,6 +175,7 @@ def average_light_kernel(
     phase_weights: F32Array2,  # (3, 3)
     blur: F32Array2,  # (Hn, Wn) what blur leaves of the contrast around every node
     node_px: i32,  # between those
+    unlit: U8Array2,  # (H, W) 1: shows no fringe
     clipped: f32,  # levels
     rows: i32,  # px between places
     columns: i32,
@@ -205,8 +206,9 @@ def average_light_kernel(
                 lost = 1.0 + reach * (reach + 1) / 6.0 * ti.min(slope * slope, 1.0)
                 a, b = ti.min(y // node_px, blur.shape[0] - 1), ti.min(middle // node_px, blur.shape[1] - 1)
                 out_contrast[i, j] = blur[a, b] / lost
+                says = (most < clipped) & (ti.cast(unlit[ti.min(y, image.shape[0] - 1), middle], i32) == 0)
                 for c in ti.static(range(3)):
-                    out[i, j, c] = ti.select(most < clipped, total[c] / (2 * reach + 1), _SAYS_NOTHING)
+                    out[i, j, c] = ti.select(says, total[c] / (2 * reach + 1), _SAYS_NOTHING)
 
 
 def average_light(
@@ -215,6 +217,7 @@ def average_light(
     crosstalk: Crosstalk,
     blur: npt.NDArray[np.float32],
     node_px: int,
+    unlit: _Mask,
     levels: FrameLevels,
     rows: int,
     columns: int,
@@ -235,8 +238,10 @@ def average_light(
         What the camera's blur leaves of the contrast around every node, beside the usual.
     node_px : int
         px between these nodes.
+    unlit : (H, W) bool
+        Which pixels show no fringe: they say nothing.
     levels : FrameLevels
-        Clipped pixels say nothing.
+        Neither do clipped ones.
     rows, columns : int
         px between places.
     reach_px : int
@@ -249,7 +254,9 @@ def average_light(
     cells = np.ones(cells_of(size), np.int32) if cells is None else cells
     out, contrast = runtime.empty((*size, 3), np.float32), runtime.empty(size, np.float32)
     nodes = (gains.gains, gains.spacing_px, crosstalk.weights, blur, node_px)
-    average_light_kernel(image, *nodes, levels.clipped, rows, columns, reach_px, cells, out, contrast)
+    average_light_kernel(
+        image, *nodes, unlit.view(np.uint8), levels.clipped, rows, columns, reach_px, cells, out, contrast
+    )
     return out, contrast
 
 
@@ -519,20 +526,29 @@ def choose_surfaces_kernel(
             best, which = _lanes(1e9), _lanes(0.0)
             for surface in range(misfits.shape[0]):
                 if (bits >> surface) & 1 == 1:
-                    total, weight, left = _lanes(0.0), _lanes(1e-6), _wide_lanes(0.0)
+                    left, sums, counts = _wide_lanes(0.0), _wide_lanes(0.0), _wide_lanes(0.0)
+                    total, weight = _lanes(0.0), _lanes(1e-6)
                     for v in range(ti.max(y - near.shape[0] + 1, 0), ti.min(y + near.shape[0], height)):
+                        for part in range(-1, 2):
+                            beside = ti.min(ti.max(strip + part, 0), strips - 1)
+                            asked = (cells[v // _CELL_ROWS, beside] >> surface) & 1 == 1
+                            start, end = (
+                                ti.max(part * _AT_ONCE, -_BESIDE),
+                                ti.min((part + 1) * _AT_ONCE, _AT_ONCE + _BESIDE),
+                            )
+                            for k in range(start, end):
+                                inside = asked & (first + k >= 0) & (first + k < width)
+                                left[k + _BESIDE] = _SAYS_NOTHING
+                                if inside:
+                                    left[k + _BESIDE] = misfits[surface, v, first + k]
                         for k in range(_AT_ONCE + 2 * _BESIDE):
-                            x = ti.min(ti.max(first + k - _BESIDE, 0), width - 1)
-                            asked = (cells[v // _CELL_ROWS, x // _AT_ONCE] >> surface) & 1 == 1
-                            left[k] = _SAYS_NOTHING
-                            if asked & (ti.cast(labels[v, x], ti.i32) != NO_SURFACE):
-                                left[k] = misfits[surface, v, x]
-                        for u in ti.static(range(2 * _BESIDE + 1)):
-                            for k in range(_AT_ONCE):
-                                value, share = left[k + u], near[ti.abs(v - y)] * along[ti.abs(u - _BESIDE)]
-                                share = ti.select(value > _SAYS_NOTHING, share, 0.0)
-                                total[k] += share * ti.min(value * value, _MOST)
-                                weight[k] += share
+                            share = ti.select(left[k] > _SAYS_NOTHING, near[ti.abs(v - y)], 0.0)
+                            sums[k] += share * ti.min(left[k] * left[k], _MOST)
+                            counts[k] += share
+                    for u in ti.static(range(2 * _BESIDE + 1)):
+                        for k in range(_AT_ONCE):
+                            total[k] += along[ti.abs(u - _BESIDE)] * sums[k + u]
+                            weight[k] += along[ti.abs(u - _BESIDE)] * counts[k + u]
                     for k in range(_AT_ONCE):
                         besides = place_at(around, surface, y / rows, (first + k + 0.5) / columns - 0.5)
                         value = total[k] / weight[k] + _AROUND * besides

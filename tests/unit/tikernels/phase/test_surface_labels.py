@@ -34,7 +34,12 @@ def seen_of(image: np.ndarray, contrast: float = 1.0, cells: np.ndarray | None =
     """Return the light of pixels, where cells say which, else means over five at the lattice's places."""
     gains, crosstalk = Gains(*image.shape[:2], PERIOD_PX), Crosstalk.of(MATRIX)
     gains.measure(image, crosstalk, LEVELS)
-    nodes = (np.full((gains.height // 8, gains.width // 8), contrast, np.float32), 8, LEVELS)
+    nodes = (
+        np.full((gains.height // 8, gains.width // 8), contrast, np.float32),
+        8,
+        np.zeros(image.shape[:2], bool),
+        LEVELS,
+    )
     steps = (2, gains.spacing_px) if cells is None else (1, 1, 0, cells)
     return tuple(runtime.to_host(part) for part in average_light(image, gains, crosstalk, *nodes, *steps))
 
@@ -176,7 +181,17 @@ def test_a_line_is_no_surface(cpu):
 def test_what_is_refused(cpu):
     image, _, _ = board(PAINTED, (40, 40))
     with pytest.raises(tikernels.ShapeError, match="image has shape"):
-        average_light(image[0], Gains(40, 40, PERIOD_PX), Crosstalk.of(MATRIX), np.ones((5, 5)), 8, LEVELS, 2, 8)
+        average_light(
+            image[0],
+            Gains(40, 40, PERIOD_PX),
+            Crosstalk.of(MATRIX),
+            np.ones((5, 5)),
+            8,
+            np.zeros((40, 40), bool),
+            LEVELS,
+            2,
+            8,
+        )
 
 
 def test_none_that_came_later_takes_the_place_of_a_founding_surface(cpu):
