@@ -281,42 +281,42 @@ def surface_misfits_kernel(
 ):
     height, width = out.shape[1], out.shape[2]
     strips = strip_count(width, _AT_ONCE)
-    for t in range(out.shape[0] * height * strips):
-        surface, y, strip = t // (height * strips), t // strips % height, t % strips
-        if (cells[y // _CELL_ROWS, strip] >> surface) & 1 == 1:
-            first, inverse = strip * _AT_ONCE, surface_matrix(unmixing, surface)
-            rest = surface_ambient(ambient, surface)
+    for t in range(height * strips):
+        y, strip = t // strips, t % strips
+        bits, first = cells[y // _CELL_ROWS, strip], strip * _AT_ONCE
+        if bits != 0:
             count = ti.min(_AT_ONCE, width - first)
             red, green, blue, sharp = _lanes(0.0), _lanes(0.0), _lanes(0.0), _lanes(1.0)
             bare, ring, turn, result, changes = _lanes(0.0), _lanes(0.0), _lanes(0.0), _lanes(0.0), _lanes(0.0)
             for k in range(count):
                 red[k], green[k], blue[k] = light[y, first + k, 0], light[y, first + k, 1], light[y, first + k, 2]
                 sharp[k] = contrast[y, first + k]
-            for k in range(_AT_ONCE):
-                vector = inverse @ (vec3(red[k], green[k], blue[k]) - rest)
-                bare[k] = (arctangent(vector.y, vector.x) + np.pi) * ti.static(_BINS / (2 * np.pi))
-            for k in range(_AT_ONCE):
-                place = ti.min(ti.cast(bare[k], ti.i32), _BINS - 1)
-                ring[k] = rho[0, place] + (bare[k] - place) * (rho[0, place + 1] - rho[0, place])
-                turn[k] = rho[1, place]
-            for k in range(_AT_ONCE):
-                seen = vec3(red[k], green[k], blue[k])
-                vector = inverse @ (seen - rest)
-                swing = vector.z * sharp[k] * ring[k]
-                size = ti.max(modulation_of(vector), 1e-9)
-                cosine, sine = vector.x / size, vector.y / size
-                turned = vector.z * sharp[k] * turn[k] / size
-                across = ti.Vector([cosine + sine * turned, sine - cosine * turned, -sharp[k] * ring[k]]) @ inverse
-                wrong, doubt = _MODEL_ERROR * seen.sum() / 3.0, _AMBIENT_ERROR * rest
-                noise = read_variance + noise_gain * ti.max(seen, 0.0) + wrong * wrong + doubt * doubt
-                lost = _LOST_DOUBT * (sharp[k] - 1.0)
-                variance = (across * across).dot(noise) + (even * even + lost * lost) * swing * swing
-                by_sigma = 1.0 / ti.sqrt(ti.max(variance, 1e-12))
-                result[k] = ti.select(red[k] > _SAYS_NOTHING, (size - swing) * by_sigma, _SAYS_NOTHING)
-                changes[k] = swing * by_sigma
-            for k in range(count):
-                out[surface, y, first + k] = result[k]
-                by_contrast[surface, y, first + k] = changes[k]
+            for surface in range(out.shape[0]):
+                if (bits >> surface) & 1 == 1:
+                    inverse, rest = surface_matrix(unmixing, surface), surface_ambient(ambient, surface)
+                    for k in range(_AT_ONCE):
+                        vector = inverse @ (vec3(red[k], green[k], blue[k]) - rest)
+                        bare[k] = (arctangent(vector.y, vector.x) + np.pi) * ti.static(_BINS / (2 * np.pi))
+                    for k in range(_AT_ONCE):
+                        place = ti.min(ti.cast(bare[k], ti.i32), _BINS - 1)
+                        ring[k] = sharp[k] * (rho[0, place] + (bare[k] - place) * (rho[0, place + 1] - rho[0, place]))
+                        turn[k] = sharp[k] * rho[1, place]
+                    for k in range(_AT_ONCE):
+                        seen = vec3(red[k], green[k], blue[k])
+                        vector = inverse @ (seen - rest)
+                        swing, size = vector.z * ring[k], ti.max(modulation_of(vector), 1e-9)
+                        cosine, sine, turned = vector.x / size, vector.y / size, vector.z * turn[k] / size
+                        across = vec3(cosine + sine * turned, sine - cosine * turned, -ring[k]) @ inverse
+                        wrong, doubt, lost = _MODEL_ERROR * seen.sum() / 3.0, _AMBIENT_ERROR * rest, sharp[k] - 1.0
+                        noise = read_variance + noise_gain * ti.max(seen, 0.0) + wrong * wrong + doubt * doubt
+                        uneven = even * even + _LOST_DOUBT * _LOST_DOUBT * lost * lost
+                        variance = (across * across).dot(noise) + uneven * swing * swing
+                        by_sigma = 1.0 / ti.sqrt(ti.max(variance, 1e-12))
+                        result[k] = ti.select(red[k] > _SAYS_NOTHING, (size - swing) * by_sigma, _SAYS_NOTHING)
+                        changes[k] = swing * by_sigma
+                    for k in range(count):
+                        out[surface, y, first + k] = result[k]
+                        by_contrast[surface, y, first + k] = changes[k]
 
 
 def surface_misfits(lattice: Lattice, neutral: NeutralLight, levels: FrameLevels, code_doubt: float) -> _Misfits:
