@@ -254,7 +254,7 @@ class FirstLook:
 
         Parameters
         ----------
-        light : (n, S, 3)
+        light : (n, 3, S)
             The camera's, levels.
         around, contrast, share, contrast_doubt
             See `SurfaceSamples`.
@@ -263,8 +263,8 @@ class FirstLook:
         ambient : (n, 3)
             Its ambient light, levels.
         """
-        vector = (light - ambient[:, None]) @ weights.swapaxes(1, 2)
-        bare = np.arctan2(vector[..., 1], vector[..., 0])
+        vector = weights @ (light - ambient[..., None])
+        bare = np.arctan2(vector[:, 1], vector[:, 0])
         noise = self.levels.read_noise**2 + self.levels.noise_gain * np.maximum(light, 0)
         least = _LEAST_NOISE * np.maximum(light, _DARK * self.levels.white)
         phase, around = bare + self._correction_at(bare), np.maximum(around, 1e-9)

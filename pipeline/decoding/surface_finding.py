@@ -141,7 +141,7 @@ class SurfaceFinder:
         weights = phase_weights(np.asarray(np.linalg.inv(known.matrix), np.float64), known.lag) / color
         even = np.ones((1, len(light)))
         samples = look.surface_samples(
-            light[None], even, even, weights[None], ambient[None], np.ones(1), self._contrast_doubt
+            light.T[None], even, even, weights[None], ambient[None], np.ones(1), self._contrast_doubt
         )
 
         seen, white = (color - ambient)[None], known.matrix * known.white[:, None]

@@ -256,7 +256,7 @@ class SurfaceSearch:
         samples = self._samples(list(chosen.values()))
         if ends:
             samples = replace(samples, variance=samples.variance + (_MODEL_ERROR * samples.light) ** 2)
-        level = samples.light.mean(axis=1)
+        level = samples.light.mean(axis=2)
         colors, white = self._colors, known.matrix * known.white[:, None]
         expected = np.minimum(look.ambient * 3 * colors / colors.sum(axis=1, keepdims=True), _MOST_AMBIENT * level)
         if self._ambient is None:
@@ -302,7 +302,7 @@ class SurfaceSearch:
         places = np.stack([own[(spread * len(own)).astype(np.intp)] for own in chosen])
         share = np.minimum(1, [len(own) / _SAMPLES for own in chosen])
         ambient = np.zeros((len(chosen), 3)) if self._ambient is None else self._ambient
-        light = lattice.light.reshape(-1, 3)[places].astype(np.float64)
+        light = lattice.light.reshape(-1, 3)[places].swapaxes(1, 2).astype(np.float64, order="C")
         contrast = lattice.contrast.ravel()[places].astype(np.float64)
         matrices = predict_matrices(self._colors, known.matrix * known.white[:, None], self._bands[0])
         if self._fitted is not None:

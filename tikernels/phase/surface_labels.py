@@ -145,7 +145,7 @@ class NeutralLight(NamedTuple):
         """
         sent = waves(light, np.linspace(-np.pi, np.pi, _BINS, endpoint=False))[0]
         vectors = phase_weights(np.eye(3), lag)
-        cosine, sine, mean = vectors @ sent.T
+        cosine, sine, mean = vectors @ sent
         phases = np.linspace(-np.pi, np.pi, _BINS + 1)
         rho = np.interp(phases, np.arctan2(sine, cosine), np.hypot(cosine, sine) / mean, period=2 * np.pi)
         slope = (np.roll(rho[:-1], -1) - np.roll(rho[:-1], 1)) * (_BINS / (4 * np.pi))

@@ -102,7 +102,7 @@ def test_samples_of_a_surface_have_its_phases(cpu):
     look = look_at(image)
     lattice, matrix = look.lattice, surface_matrix(PAINTS["blue"])
     true = phase[:: lattice.rows, lattice.columns // 2 :: lattice.columns].reshape(1, -1)
-    light = lattice.light.reshape(1, -1, 3).astype(float)
+    light = lattice.light.reshape(1, -1, 3).swapaxes(1, 2).astype(float)
     weights, ambient = phase_weights(np.linalg.inv(matrix)), 6 * matrix.sum(axis=1) + 4
     samples = look.surface_samples(
         light, look.around.reshape(1, -1), np.ones(true.shape), weights[None], ambient[None], np.ones(1), 0.0
