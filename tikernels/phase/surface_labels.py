@@ -406,9 +406,9 @@ def relabel(
     if afresh:
         before = np.where(shown, averages.argmin(axis=0), NO_SURFACE).astype(np.uint8)
     kept = list(range(len(misfits)))
-    own = (before[said] == np.arange(len(misfits))[:, None]).astype(np.float32)
+    own = (np.where(said, before, NO_SURFACE).ravel() == np.arange(len(misfits))[:, None]).astype(np.float32)
     sizes = own.sum(axis=1)
-    means = (own @ averages[:, said].T) / np.maximum(sizes, 1)[:, None]
+    means = (own @ averages.reshape(len(misfits), -1).T) / np.maximum(sizes, 1)[:, None]
 
     def inside(surface: int) -> int:
         """Return how many places show a surface like all eight around them."""

@@ -212,14 +212,11 @@ def _waves(light: _Complexes, turns: _Array) -> tuple[_Array, _Array]:
 def _turns(harmonics: int, phase: _Array, contrast: _Array | None = None) -> _Array:
     """Return cosines, then sines, of n phase, (..., 2 harmonics, N), each by what blur leaves of it."""
     first = np.exp(1j * phase)
-    turns, turn, left = np.empty((*phase.shape[:-1], 2 * harmonics, phase.shape[-1])), first, contrast
+    turns, turn = np.empty((*phase.shape[:-1], 2 * harmonics, phase.shape[-1])), np.ones_like(first)
+    left, blur = np.ones_like(phase), 1.0 if contrast is None else contrast
     for n in range(harmonics):
-        if n > 0:
-            turn = turn * first
-        if contrast is not None and n > 0:
-            left = left * contrast ** (2 * n + 1)
-        shown = turn if left is None else turn * left
-        turns[..., n, :], turns[..., harmonics + n, :] = shown.real, shown.imag
+        turn, left = turn * first, left * blur ** (2 * n + 1)
+        turns[..., n, :], turns[..., harmonics + n, :] = turn.real * left, turn.imag * left
     return turns
 
 
@@ -323,7 +320,8 @@ class _Arrow(NamedTuple):
         own, beside = gram[:, :_COLUMNS, :_COLUMNS] + prior, gram[:, :_COLUMNS] @ by_shared
         solved = np.linalg.solve(own, beside)
         corner = prior_shared + (by_shared.swapaxes(1, 2) @ gram @ by_shared).sum(axis=0)
-        return cls(own, beside, solved, corner - (beside.swapaxes(1, 2) @ solved).sum(axis=0))
+        rest = corner - (beside.swapaxes(1, 2) @ solved).sum(axis=0)
+        return cls(own, beside, np.asarray(solved, np.float64), rest)
 
     def solve(self, right: _Array, right_shared: _Array) -> tuple[_Array, _Array]:
         """Return the own unknowns, (n, 12), and the shared ones."""
