@@ -49,7 +49,7 @@ _MARGIN_PX = 17
 # They are spread evenly: the golden section, whose multiples come nowhere near each other.
 _GOLDEN = 0.6180339887498949
 # Turns at the most; the first of these tell the common light, too; the last make no new surfaces; new ones a turn.
-_TURNS, _OF_LIGHT, _LAST, _NEW = 4, 2, 2, 5
+_TURNS, _OF_LIGHT, _LAST, _NEW = 3, 2, 1, 5
 # Newton's steps in the first turn, and in those that begin where the last one ended.
 _FIRST_STEPS, _STEPS = 2, 1
 # The search ends once fewer places than this share change.
@@ -182,9 +182,9 @@ class SurfaceSearch:
         # place stays open.
         self._tried = self._near_edges(_EDGE_PX)
 
-    def run(self, first_turn: int = 0) -> FoundSurfaces | NoModelFits | None:
+    def run(self) -> FoundSurfaces | NoModelFits | None:
         """Look for the surfaces; None: there is but one, which acts as the balance alone undoes."""
-        turn, settled = first_turn, False
+        turn, settled = 0, False
         while True:
             ends = settled or turn == _TURNS - 1
             fitted = self._fit(turn, ends=ends)
@@ -199,12 +199,17 @@ class SurfaceSearch:
             turn += 1
 
     def follow(self, before: FoundSurfaces) -> FoundSurfaces | NoModelFits | None:
-        """Look for the surfaces of a frame that begin as those of the frame before."""
+        """Look for the surfaces of a frame that begins with those of the frame before: one turn, and the mean of both."""
         new = self._relabel(before.fitted, afresh=True)
         self._keep(new, before.fitted)
         self._tried |= self._near_edges(_EDGE_PX)
         self._add(new.unexplained & ~self._tried)
-        return self.run(_OF_LIGHT)
+        fitted = self._fit(_OF_LIGHT, ends=True)
+        if fitted is None or self._fitted is None:
+            return None
+        fitted = fitted.after(self._fitted)
+        new = self._relabel(fitted)
+        return self._found(new, self._keep(new, fitted))
 
     def _found(self, new: Relabelled, fitted: FittedMatrices) -> FoundSurfaces | NoModelFits:
         """Return the surfaces, unless the largest is far from fitting, as with a calibration that is not this rig's."""

@@ -75,6 +75,8 @@ _FIRST_TURNS, _TURNS = 2, 1
 _USUAL_BRIGHTNESS, _LEAST_BRIGHTNESS = 0.5, 30
 # Places of the cycle that the phase's constant is the mean of.
 _PHASES = 48
+# In a video the last frames count as much as so many.
+_MOST_FRAMES = 8
 _COLUMNS = 12  # of a surface's own: nine of K, three of the ambient light
 
 
@@ -169,11 +171,23 @@ class FittedMatrices:
     common is left out."""
     cost: float
     """What speaks against all of it, in squares of standard deviations."""
+    frames: _Array
+    """(n,) how many frames of a video have told it."""
 
     def only(self, surfaces: list[int]) -> "FittedMatrices":
         """Return what was found of some of the surfaces."""
-        own = ("matrices", "ambient", "misfit", "constant_sigma", "mismatch")
+        own = ("matrices", "ambient", "misfit", "constant_sigma", "mismatch", "frames")
         return replace(self, **{name: getattr(self, name)[surfaces] for name in own})
+
+    def after(self, before: "FittedMatrices") -> "FittedMatrices":
+        """Return the mean with that of the frames before, where the first of these surfaces were seen, too."""
+        known = len(before.matrices)
+        matrices, ambient, frames = self.matrices.copy(), self.ambient.copy(), self.frames.copy()
+        frames[:known] = np.minimum(before.frames + 1, _MOST_FRAMES)
+        share = 1 / frames[:known, None]
+        matrices[:known] = before.matrices + share[..., None] * (matrices[:known] - before.matrices)
+        ambient[:known] = before.ambient + share * (ambient[:known] - before.ambient)
+        return replace(self, matrices=matrices, ambient=ambient, frames=frames)
 
 
 class LightDoubt(NamedTuple):
@@ -294,7 +308,9 @@ def fit_matrices(
     constant = np.sqrt(arrow.variance(slope[:, :_COLUMNS], (slope[:, None] @ by_shared)[:, 0]))
     mismatch = _mismatch(matrices, predicted, light[:, 0])
     matrices = 3 * matrices / matrices.sum(axis=(1, 2), keepdims=True)
-    return FittedMatrices(matrices, besides, shared, fitted_light, found.misfit, constant, mismatch, cost)
+    return FittedMatrices(
+        matrices, besides, shared, fitted_light, found.misfit, constant, mismatch, cost, np.ones(count)
+    )
 
 
 def _unpacked(

@@ -49,7 +49,8 @@ def test_a_video_keeps_its_surfaces(cpu):
     before = rig.decode(first)
     again = rig.decode(first, previous=before)
     kept = again.memory.surfaces.fitted.matrices
-    np.testing.assert_allclose(kept, before.memory.surfaces.fitted.matrices, atol=1e-3)
+    np.testing.assert_allclose(kept, before.memory.surfaces.fitted.matrices, atol=2e-3)
+    assert (again.memory.surfaces.fitted.frames == 2).all()
     constants, _ = paint_errors(again, phase, numbers)
     assert np.ptp(constants) < 0.02
     then, phase, numbers = board([*PAINTED[:2], "skin", "blue"], (240, 320))

@@ -184,6 +184,17 @@ def test_how_predictions_change_with_the_filters_shares():
     assert np.abs(white.by_share).max() < 1e-3
 
 
+def test_frames_of_a_video_are_averaged():
+    """Those of a surface that was seen before; a new one stays as it is."""
+    first, then = fitted(pixels(*COLORED[:2])), fitted(pixels(*COLORED, noise=2.0))
+    second = then.after(first)
+    np.testing.assert_allclose(second.matrices[:2], (first.matrices + then.matrices[:2]) / 2)
+    np.testing.assert_array_equal(second.matrices[2], then.matrices[2])
+    third = then.after(second)
+    np.testing.assert_allclose(third.ambient[0], (first.ambient[0] + 2 * then.ambient[0]) / 3)
+    np.testing.assert_array_equal(third.frames, [3, 3, 2])
+
+
 def test_a_part_of_the_surfaces():
     result = fitted(pixels(*COLORED))
     part = result.only([2, 0])
