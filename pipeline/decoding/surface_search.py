@@ -199,7 +199,7 @@ class SurfaceSearch:
             turn += 1
 
     def follow(self, before: FoundSurfaces) -> FoundSurfaces | NoModelFits | None:
-        """Look for the surfaces of a frame that begins with those of the frame before: one turn, and the mean of both."""
+        """Look for the surfaces of a frame that begins with those of the one before: one turn, and the mean of both."""
         new = self._relabel(before.fitted, afresh=True)
         self._keep(new, before.fitted)
         self._tried |= self._near_edges(_EDGE_PX)
