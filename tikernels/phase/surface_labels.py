@@ -409,24 +409,22 @@ def relabel(
     own = (np.where(said, before, NO_SURFACE).ravel() == np.arange(len(misfits))[:, None]).astype(np.float32)
     sizes = own.sum(axis=1)
     means = (own @ averages.reshape(len(misfits), -1).T) / np.maximum(sizes, 1)[:, None]
-
-    def inside(surface: int) -> int:
-        """Return how many places show a surface like all eight around them."""
-        return cv2.countNonZero(cv2.erode((said & (before == surface)).astype(np.uint8), np.ones((3, 3), np.uint8)))
-
     for k in sorted(kept, key=lambda k: (bool(founding[k]), sizes[k])):
         others = [j for j in kept if j != k]
         rivals = [j for j in others if founding[j] or not founding[k]]
-        if others and inside(k) <= _LINE * sizes[k]:
+        if others and sizes[k] == 0:
             kept = others
         elif rivals and means[k, rivals].min() - means[k, k] < (_BETTER if fits[k] else _MUCH_BETTER):
             kept = others
     while True:
         nearest = averages[kept].argmin(axis=0)
         sizes = np.bincount(nearest[said], minlength=len(kept))
-        if len(kept) == 1 or sizes.min() * lattice.pixels >= LEAST_PX:
+        worth = np.minimum(
+            sizes * (lattice.pixels / LEAST_PX), _insides(said, nearest, len(kept)) / (_LINE * sizes + 1e-9)
+        )
+        if len(kept) == 1 or worth.min() >= 1:
             break
-        kept.pop(int(sizes.argmin()))
+        kept.pop(int(worth.argmin()))
     labels = np.where(shown, nearest, NO_SURFACE).astype(np.uint8)
     least = np.take_along_axis(averages[kept], nearest[None], 0)[0]
     own_misfit = np.take_along_axis(misfits[kept], nearest[None], 0)[0]
@@ -434,6 +432,13 @@ def relabel(
     wide = lattice.square(_OPENING_CYCLES * lattice.period_px)
     unexplained |= _opened(_unusual_neighbourhoods(lattice, own_misfit, said), wide)
     return Relabelled(labels, kept, unexplained, around[kept])
+
+
+def _insides(said: _Mask, labels: npt.NDArray[np.intp], count: int) -> npt.NDArray[np.intp]:
+    """Return how many places show each surface as all eight around them do."""
+    alike, near = np.where(said, labels + 1, 0).astype(np.uint8), np.ones((3, 3), np.uint8)
+    alike[cv2.dilate(alike, near) != cv2.erode(alike, near)] = 0
+    return np.bincount(alike.ravel(), minlength=count + 1)[1 : count + 1]
 
 
 def _averaged(lattice: Lattice, misfits: _Misfits, said: _Mask) -> tuple[_Misfits, _Misfits]:
