@@ -80,7 +80,7 @@ _LINE = 0.03
 # is usual in the frame.
 _UNEXPLAINED, _UNEXPLAINED_AROUND, _UNUSUAL = 3.0, 1.4, 1.6
 # What is left of unexplained places after an opening by this counts, px; of neighbourhoods, in cycles.
-_OPENING_PX, _OPENING_CYCLES = 7, 1.5
+_OPENING_PX, _OPENING_CYCLES = 7, 1.0
 
 
 class Lattice(NamedTuple):
