@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import checks, runtime
-from tikernels._taichi import AnyArray3, F32Array1, F32Array2, F32Array3, I32Array2, U8Array2, f32, i32, ti, vec3
+from tikernels._taichi import AnyArray3, F32Array1, F32Array2, F32Array3, I32Array2, U8Array2, f32, i32, ti, u1, vec3
 from tikernels.arrays import F32, I32, U8, LevelsImage
 from tikernels.launching import kernel
 from tikernels.phase.color_balance import Gains, gain_at
@@ -511,6 +511,49 @@ def place_at(values: F32Array3, surface: i32, v: f32, u: f32) -> f32:
     return upper + (v - i) * (lower - upper)
 
 
+@ti.func
+def asks(cells: I32Array2, y: i32, strip: i32, surface: i32) -> u1:
+    """Whether a surface is asked for sixteen places of a row."""
+    return (cells[y // _CELL_ROWS, strip] >> surface) & 1 == 1
+
+
+@ti.func
+def row_misfits(misfits: F32Array3, cells: I32Array2, surface: i32, y: i32, strip: i32):
+    """Load a surface's misfits of sixteen pixels and of those beside them; _SAYS_NOTHING where it is not asked."""
+    first, last = strip * _AT_ONCE, misfits.shape[2] - 1
+    before, after = ti.max(strip - 1, 0), ti.min(strip + 1, cells.shape[1] - 1)
+    left = _wide_lanes(_SAYS_NOTHING)
+    if asks(cells, y, before, surface):
+        for k in range(ti.min(_BESIDE, first)):
+            left[_BESIDE - 1 - k] = misfits[surface, y, first - 1 - k]
+    if asks(cells, y, strip, surface):
+        for k in range(ti.min(_AT_ONCE, last + 1 - first)):
+            left[_BESIDE + k] = misfits[surface, y, first + k]
+    if asks(cells, y, after, surface):
+        for k in range(ti.min(_BESIDE, last + 1 - first - _AT_ONCE)):
+            left[_BESIDE + _AT_ONCE + k] = misfits[surface, y, first + _AT_ONCE + k]
+    return left
+
+
+@ti.func
+def near_misfits(
+    misfits: F32Array3, cells: I32Array2, near: F32Array1, along: F32Array1, surface: i32, y: i32, strip: i32
+):
+    """Return the squares of a surface's misfits around sixteen pixels, averaged across the stripes, then along them."""
+    sums, counts, total, weight = _wide_lanes(0.0), _wide_lanes(0.0), _lanes(0.0), _lanes(1e-6)
+    for v in range(ti.max(y - near.shape[0] + 1, 0), ti.min(y + near.shape[0], misfits.shape[1])):
+        left = row_misfits(misfits, cells, surface, v, strip)
+        for k in range(_AT_ONCE + 2 * _BESIDE):
+            share = ti.select(left[k] > _SAYS_NOTHING, near[ti.abs(v - y)], 0.0)
+            sums[k] += share * ti.min(left[k] * left[k], _MOST)
+            counts[k] += share
+    for u in ti.static(range(2 * _BESIDE + 1)):
+        for k in range(_AT_ONCE):
+            total[k] += along[ti.abs(u - _BESIDE)] * sums[k + u]
+            weight[k] += along[ti.abs(u - _BESIDE)] * counts[k + u]
+    return total / weight
+
+
 @kernel
 def choose_surfaces_kernel(
     misfits: F32Array3,  # (N, H, W) standard deviations of pixels; see `surface_misfits_kernel`
@@ -525,40 +568,16 @@ def choose_surfaces_kernel(
     height, width = labels.shape[0], labels.shape[1]
     strips = strip_count(width, _AT_ONCE)
     for t in range(height * strips):
-        y, strip = t // strips, t % strips
-        bits, first = cells[y // _CELL_ROWS, strip], strip * _AT_ONCE
-        if bits != 0:
+        y, strip, first = t // strips, t % strips, t % strips * _AT_ONCE
+        if cells[y // _CELL_ROWS, strip] != 0:
             best, which = _lanes(1e9), _lanes(0.0)
             for surface in range(misfits.shape[0]):
-                if (bits >> surface) & 1 == 1:
-                    left, sums, counts = _wide_lanes(0.0), _wide_lanes(0.0), _wide_lanes(0.0)
-                    total, weight = _lanes(0.0), _lanes(1e-6)
-                    for v in range(ti.max(y - near.shape[0] + 1, 0), ti.min(y + near.shape[0], height)):
-                        for part in range(-1, 2):
-                            beside = ti.min(ti.max(strip + part, 0), strips - 1)
-                            asked = (cells[v // _CELL_ROWS, beside] >> surface) & 1 == 1
-                            start, end = (
-                                ti.max(part * _AT_ONCE, -_BESIDE),
-                                ti.min((part + 1) * _AT_ONCE, _AT_ONCE + _BESIDE),
-                            )
-                            for k in range(start, end):
-                                inside = asked & (first + k >= 0) & (first + k < width)
-                                left[k + _BESIDE] = _SAYS_NOTHING
-                                if inside:
-                                    left[k + _BESIDE] = misfits[surface, v, first + k]
-                        for k in range(_AT_ONCE + 2 * _BESIDE):
-                            share = ti.select(left[k] > _SAYS_NOTHING, near[ti.abs(v - y)], 0.0)
-                            sums[k] += share * ti.min(left[k] * left[k], _MOST)
-                            counts[k] += share
-                    for u in ti.static(range(2 * _BESIDE + 1)):
-                        for k in range(_AT_ONCE):
-                            total[k] += along[ti.abs(u - _BESIDE)] * sums[k + u]
-                            weight[k] += along[ti.abs(u - _BESIDE)] * counts[k + u]
+                if asks(cells, y, strip, surface):
+                    value = near_misfits(misfits, cells, near, along, surface, y, strip)
                     for k in range(_AT_ONCE):
-                        besides = place_at(around, surface, y / rows, (first + k + 0.5) / columns - 0.5)
-                        value = total[k] / weight[k] + _AROUND * besides
-                        which[k] = ti.select(value < best[k], ti.cast(surface, ti.f32), which[k])
-                        best[k] = ti.min(value, best[k])
+                        value[k] += _AROUND * place_at(around, surface, y / rows, (first + k + 0.5) / columns - 0.5)
+                        which[k] = ti.select(value[k] < best[k], ti.cast(surface, ti.f32), which[k])
+                        best[k] = ti.min(value[k], best[k])
             for k in range(ti.min(_AT_ONCE, width - first)):
                 if ti.cast(labels[y, first + k], ti.i32) != NO_SURFACE:
                     labels[y, first + k] = ti.cast(which[k], ti.u8)
