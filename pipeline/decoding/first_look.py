@@ -20,7 +20,7 @@ from tikernels.phase.color_balance import WindowSum
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.surface_colors import color_ratios, common_colors, nearest_colors
-from tikernels.phase.surface_labels import LEAST_PX, Lattice, average_light
+from tikernels.phase.surface_labels import LEAST_PX, REACH_PX, Lattice, average_light
 from tikernels.phase.surface_matrix import SurfaceSamples
 from tikernels.phase.surfaces import NO_SURFACE
 from tikernels.phase.wrapped_phase import LEAST_NO_PHASE
@@ -120,7 +120,9 @@ class FirstLook:
         """Places all over the frame, one a node's column, and their light."""
         rows = 1 << max(0, int(math.log2(self.gains.period_px / _ROWS_A_CYCLE)))
         nodes = (self.contrast, self.spacing_px, self.unlit, self.levels)
-        seen = average_light(self.device_image, self.gains, self.crosstalk, *nodes, rows, self.gains.spacing_px)
+        seen = average_light(
+            self.device_image, self.gains, self.crosstalk, *nodes, rows, self.gains.spacing_px, REACH_PX
+        )
         light, contrast = (runtime.to_host(part) for part in seen)
         # The bare phase does not go evenly over a cycle.
         contrast = cv2.blur(contrast, (1, max(1, round(self.gains.period_px / rows))))

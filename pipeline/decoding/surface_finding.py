@@ -80,8 +80,8 @@ class SurfaceFinder:
         template_known : bool
             Whether that is known, or only read off this frame.
         before : FoundSurfaces or OnlyColor, optional
-            What the frame before in a video had: its surfaces stay as they were, and only if they leave more
-            unexplained than there, new ones are looked for; a colour that is still the only one is not asked again.
+            What the frame before in a video had: the search begins with its surfaces; a colour that is still the only
+            one is not asked again.
         """
         look = FirstLook(image, model, crosstalk, levels, correction)
         if not look.lit.any():

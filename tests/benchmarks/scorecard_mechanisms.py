@@ -314,7 +314,7 @@ _ALL = (
         {"thresholds:_MOST_SIGMA": gives(1e6), "thresholds:_MOST_SIGMA_OF_ONE": gives(1e6)}, ""),
     # Surfaces.
     Mechanism("averaged samples", "matrices are fitted to means over pixels along the stripes", "r-objects",
-        {"surface_search:_SAMPLE_PX": gives(1)}, "surface_search:SurfaceSearch._averaged"),
+        {"first_look:REACH_PX": gives(0), "surface_labels:REACH_PX": gives(0)}, ""),
     Mechanism("surfaces", "surfaces of different colours, each with a matrix", "r-objects",
         {"light_path:LightPath._use": then(setting(surfaces=None))},
         "surface_search surface_finding first_look surface_labels surface_matrix surface_colors "
@@ -333,7 +333,7 @@ _ALL = (
         {"surface_labels:_take_off_code": gives(None)}, "surface_labels:_take_off_code"),
     Mechanism("surfaces' ambient light", "what of a surface's light does not follow the fringe", "r-objects",
         {"first_look:FirstLook.ambient": lambda original: property(lambda self: 0.0)}, "first_look:FirstLook.ambient"),
-    Mechanism("surfaces before", "surfaces of the frame before are kept", "",
+    Mechanism("surfaces before", "the search begins with the surfaces of the frame before", "",
         {"surface_finding:SurfaceFinder.find": with_arguments(before=None)},
         "surface_search:SurfaceSearch.follow", promise="films of coloured things take less time"),
     Mechanism("edge variance", "sigma where two surfaces meet", "r-objects",

@@ -221,7 +221,7 @@ def average_light(
     levels: FrameLevels,
     rows: int,
     columns: int,
-    reach_px: int = REACH_PX,
+    reach_px: int,
     cells: I32 | None = None,
 ) -> tuple[F32, F32]:
     """Return mean light around places of a frame, and how much contrast that has left; see `Lattice`.

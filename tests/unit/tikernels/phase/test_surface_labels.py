@@ -40,7 +40,7 @@ def seen_of(image: np.ndarray, contrast: float = 1.0, cells: np.ndarray | None =
         np.zeros(image.shape[:2], bool),
         LEVELS,
     )
-    steps = (2, gains.spacing_px) if cells is None else (1, 1, 0, cells)
+    steps = (2, gains.spacing_px, 2) if cells is None else (1, 1, 0, cells)
     return tuple(runtime.to_host(part) for part in average_light(image, gains, crosstalk, *nodes, *steps))
 
 
