@@ -180,18 +180,9 @@ def test_a_line_is_no_surface(cpu):
 
 def test_what_is_refused(cpu):
     image, _, _ = board(PAINTED, (40, 40))
+    nodes = (np.ones((5, 5), np.float32), 8, np.zeros((40, 40), bool), LEVELS)
     with pytest.raises(tikernels.ShapeError, match="image has shape"):
-        average_light(
-            image[0],
-            Gains(40, 40, PERIOD_PX),
-            Crosstalk.of(MATRIX),
-            np.ones((5, 5)),
-            8,
-            np.zeros((40, 40), bool),
-            LEVELS,
-            2,
-            8,
-        )
+        average_light(image[0], Gains(40, 40, PERIOD_PX), Crosstalk.of(MATRIX), *nodes, 2, 8, 2)
 
 
 def test_none_that_came_later_takes_the_place_of_a_founding_surface(cpu):
