@@ -20,8 +20,9 @@ from tikernels.phase.color_balance import WindowSum
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.surface_colors import color_ratios, common_colors, nearest_colors
-from tikernels.phase.surface_labels import LEAST_PX, REACH_PX, Lattice, average_light
+from tikernels.phase.surface_labels import LEAST_PX
 from tikernels.phase.surface_matrix import SurfaceSamples
+from tikernels.phase.surface_misfits import REACH_PX, Lattice, average_light
 from tikernels.phase.surfaces import NO_SURFACE
 from tikernels.phase.wrapped_phase import LEAST_NO_PHASE
 

@@ -17,16 +17,7 @@ from tikernels.phase.channel_template import known_template
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.phase_vector import phase_weights
 from tikernels.phase.surface_colors import color_ratios, color_word, common_colors, nearest_colors
-from tikernels.phase.surface_labels import (
-    LEAST_PX,
-    NeutralLight,
-    Relabelled,
-    average_light,
-    cells_of_pixels,
-    choose_surfaces,
-    relabel,
-    surface_misfits,
-)
+from tikernels.phase.surface_labels import LEAST_PX, Relabelled, cells_of_pixels, choose_surfaces, relabel
 from tikernels.phase.surface_matrix import (
     BROAD,
     FittedMatrices,
@@ -36,15 +27,16 @@ from tikernels.phase.surface_matrix import (
     fit_matrices,
     predict_matrices,
 )
+from tikernels.phase.surface_misfits import NeutralLight, average_light, surface_misfits
 from tikernels.phase.surfaces import NO_SURFACE, Surfaces
 
 _Labels = npt.NDArray[np.uint8]
 _Mask = npt.NDArray[np.bool_]
 _Complexes = npt.NDArray[np.complex128]
 
-# Places of each surface that are asked; those near its edges, where the other side's light is blurred in, only if the
-# inside has fewer than the second; and a surface has at least the third.
-_SAMPLES, _FEW_SAMPLES, _LEAST_SAMPLES = 500, 60, 20
+# Places of all surfaces that are asked, and of one; those near its edges, where the other side's light is blurred in,
+# only if the inside has fewer than the third; and a surface has at least the fourth.
+_SAMPLES, _MOST_SAMPLES, _FEW_SAMPLES, _LEAST_SAMPLES = 4000, 1500, 60, 20
 _MARGIN_PX = 17
 # They are spread evenly: the golden section, whose multiples come nowhere near each other.
 _GOLDEN = 0.6180339887498949
@@ -303,9 +295,9 @@ class SurfaceSearch:
     def _samples(self, chosen: list[npt.NDArray[np.intp]]) -> SurfaceSamples:
         """Return as many places of every surface, given all that it has."""
         look, known, lattice = self._look, self._known, self._lattice
-        spread = np.arange(_SAMPLES) * _GOLDEN % 1
+        spread = np.arange(min(_SAMPLES // len(chosen), _MOST_SAMPLES)) * _GOLDEN % 1
         places = np.stack([own[(spread * len(own)).astype(np.intp)] for own in chosen])
-        share = np.minimum(1, [len(own) / _SAMPLES for own in chosen])
+        share = np.minimum(1, [len(own) / len(spread) for own in chosen])
         ambient = np.zeros((len(chosen), 3)) if self._ambient is None else self._ambient
         light = lattice.light.reshape(-1, 3)[places].swapaxes(1, 2).astype(np.float64, order="C")
         contrast = lattice.contrast.ravel()[places].astype(np.float64)

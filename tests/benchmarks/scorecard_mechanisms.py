@@ -314,11 +314,11 @@ _ALL = (
         {"thresholds:_MOST_SIGMA": gives(1e6), "thresholds:_MOST_SIGMA_OF_ONE": gives(1e6)}, ""),
     # Surfaces.
     Mechanism("averaged samples", "matrices are fitted to means over pixels along the stripes", "r-objects",
-        {"first_look:REACH_PX": gives(0), "surface_labels:REACH_PX": gives(0)}, ""),
+        {"first_look:REACH_PX": gives(0), "surface_misfits:REACH_PX": gives(0)}, ""),
     Mechanism("surfaces", "surfaces of different colours, each with a matrix", "r-objects",
         {"light_path:LightPath._use": then(setting(surfaces=None))},
-        "surface_search surface_finding first_look surface_labels surface_matrix surface_colors "
-        "surface_edges surfaces"),
+        "surface_search surface_finding first_look surface_labels surface_misfits surface_matrix "
+        "surface_colors surface_edges surfaces"),
     Mechanism("new surfaces", "pixels that no surface explains become new ones", "r-objects",
         {"surface_search:SurfaceSearch._add": gives(False)},
         "surface_search:SurfaceSearch._add surface_search:_largest_part"),
@@ -330,7 +330,7 @@ _ALL = (
     Mechanism("surfaces' contrast", "blur takes more of the fringe where it is finer", "r-objects",
         {"first_look:FirstLook.contrast": flat_contrast}, "first_look:FirstLook.contrast"),
     Mechanism("cycles' contrast", "the code changes contrasts cycle by cycle, which are no surfaces", "r-objects-coded",
-        {"surface_labels:_take_off_code": gives(None)}, "surface_labels:_take_off_code"),
+        {"surface_misfits:_take_off_code": gives(None)}, "surface_misfits:_take_off_code"),
     Mechanism("surfaces' ambient light", "what of a surface's light does not follow the fringe", "r-objects",
         {"first_look:FirstLook.ambient": lambda original: property(lambda self: 0.0)}, "first_look:FirstLook.ambient"),
     Mechanism("surfaces before", "the search begins with the surfaces of the frame before", "",

@@ -106,21 +106,6 @@ def load_harmonics(template: F32Array2):
 
 
 @ti.func
-def blurred(harmonics: Static, contrast: f32):
-    """Return `load_harmonics` as a blur leaves them that multiplies the first by this: the nth by its power of n^2."""
-    result = harmonics
-    square = contrast * contrast
-    factor, ratio = contrast, contrast * square
-    for n in ti.static(range(1, HARMONICS + 1)):
-        for channel in ti.static(range(3)):
-            result[channel, n - 1] *= factor
-            result[channel, HARMONICS + n - 1] *= factor
-        factor *= ratio
-        ratio *= square
-    return result
-
-
-@ti.func
 def sharpening_factors(sharpness: f32):
     """Return what `waves_of` are to be multiplied by, given `FringeSharpness`'s value: see `sharpening_of`."""
     result, factors = ti.Vector.one(f32, TERMS), sharpening_of(sharpness)

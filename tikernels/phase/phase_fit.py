@@ -184,20 +184,6 @@ def fitted_step(light: vec3, model: vec3, change: vec3, swing: vec3, contrast_do
 
 
 @ti.func
-def residual_of(light: vec3, model: vec3, change: vec3, swing: vec3, contrast_doubt: f32):
-    """Return what neither brightness nor phase explain, in standard deviations, and its change with the contrast.
-
-    All channels are in units of their noise; see the module.
-    """
-    across = model.cross(change)
-    square = ti.max(across.dot(across), 1e-12)
-    by_contrast = light.dot(model) / ti.max(model.dot(model), 1e-12) * swing.dot(across)
-    doubt = contrast_doubt * by_contrast
-    sigma = ti.sqrt(square + doubt * doubt)
-    return light.dot(across) / sigma, by_contrast / sigma
-
-
-@ti.func
 def doubted(misfit: f32, doubt: f32, precision: f32) -> f32:
     """Return a misfit with what a correction is unsure of, rad, added to it, in units of the precision's variance.
 

@@ -9,15 +9,8 @@ from tikernels import runtime
 from tikernels.phase.color_balance import Gains
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.frame_statistics import FrameLevels
-from tikernels.phase.surface_labels import (
-    Lattice,
-    NeutralLight,
-    average_light,
-    cells_of_pixels,
-    choose_surfaces,
-    relabel,
-    surface_misfits,
-)
+from tikernels.phase.surface_labels import cells_of_pixels, choose_surfaces, relabel
+from tikernels.phase.surface_misfits import Lattice, NeutralLight, average_light, surface_misfits
 from tikernels.phase.surfaces import NO_SURFACE
 
 LEVELS = FrameLevels(255.0, 1.0, 0.0, 1.0, 5.0, 5.0)

@@ -1,0 +1,347 @@
+"""What each surface's matrix leaves over of the light at a place.
+
+A pixel's three channels have two unknowns, brightness and phase; what is left under each surface's matrix tells the
+surfaces apart, sharper than any mean colour, which the fringe goes through. With x, y and a the pixel's b cos(phi),
+b sin(phi) and background as if its surface were neutral, it is
+
+    left = |(x, y)| - a rho,
+
+rho the contrast that the projector's light has at the bare phase of (x, y). Light is looked at as means over a few
+pixels along the stripes, at the places of a lattice of some rows a cycle; pixels alone where several surfaces meet.
+"""
+
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from tikernels import checks, runtime
+from tikernels._taichi import AnyArray3, F32Array2, F32Array3, I32Array2, U8Array2, f32, i32, ti, vec3
+from tikernels.arrays import F32, I32, LevelsImage
+from tikernels.launching import kernel
+from tikernels.phase.color_balance import Gains, gain_at
+from tikernels.phase.crosstalk import Crosstalk, weighed_vector
+from tikernels.phase.frame_statistics import FrameLevels
+from tikernels.phase.phase_vector import arctangent, color_at, matrix_of, modulation_of, phase_weights
+from tikernels.phase.surface_matrix import waves
+from tikernels.phase.surfaces import surface_ambient, surface_matrix
+from tikernels.raw.linearization import LEVEL_TYPES
+from tikernels.strips import strip_count
+
+_Misfits = npt.NDArray[np.float32]
+_Array = npt.NDArray[np.float64]
+_Mask = npt.NDArray[np.bool_]
+
+#: Pixels on either side in a mean, along the stripes: the noise of single ones biases the fitted matrices.
+REACH_PX = 2
+#: Places that a thread looks at together, as the vector units of a CPU do; and rows of a cell of so many columns.
+AT_ONCE, CELL_ROWS = 16, 8
+place_lanes = ti.types.vector(AT_ONCE, ti.f32)
+#: The light of a place that says nothing, and what is left of it.
+SAYS_NOTHING = -1e9
+#: A place that fits no surface counts no more than this against one.
+MOST_MISFIT = 16.0
+#: Standard deviation of a place's contrast, as a fraction: ambient light is not quite even over a surface.
+UNEVEN = 0.01
+# A code's contrast, which goes in straight lines from cycle to cycle, is off its mean around where the lines meet.
+_CORNERS = 0.02
+# Of the logarithm of the contrast lost to blur, as a fraction of it, since lenses differ.
+_LOST_DOUBT = 0.6
+# A model is no better than this fraction of a pixel's light, and of the ambient light.
+_MODEL_ERROR, _AMBIENT_ERROR = 0.009, 0.04
+# Places of the cycle in the table of the light's contrast.
+_BINS = 256
+# A code's contrast is told by what is around, a Gaussian in cycles; residuals count in full up to this many standard
+# deviations.
+_CODE_CYCLES, _TRUSTED = 0.3, 3.0
+
+
+class Lattice(NamedTuple):
+    """Places of a frame, rows and columns apart, and the light around each."""
+
+    light: npt.NDArray[np.float32]
+    """(h, w, 3) levels, mean over a few pixels along the stripes; see `says`."""
+    contrast: npt.NDArray[np.float32]
+    """(h, w) by which blur and the mean multiply the fringe's first harmonic, beside the usual."""
+    rows: int
+    columns: int
+    """px between the places."""
+    period_px: float
+    """Camera px a cycle."""
+
+    @property
+    def says(self) -> _Mask:
+        """(h, w) which places show a fringe, and are not clipped."""
+        return np.asarray(self.light[..., 0] > SAYS_NOTHING)
+
+    @property
+    def pixels(self) -> int:
+        """How many pixels a place stands for."""
+        return self.rows * self.columns
+
+    def blurred(self, values: npt.NDArray[Any], sigma_px: float) -> npt.NDArray[np.float32]:
+        """Return values of the places, smoothed by a Gaussian."""
+        sigma = (max(0.2, sigma_px / self.columns), max(0.2, sigma_px / self.rows))
+        return np.asarray(cv2.GaussianBlur(values.astype(np.float32, copy=False), (0, 0), sigma[0], sigmaY=sigma[1]))
+
+    def square(self, side_px: float) -> npt.NDArray[np.uint8]:
+        """Return what a morphological operation looks at: a square of an odd number of places."""
+        return np.ones([2 * round(side_px / step / 2) + 1 for step in (self.rows, self.columns)], np.uint8)
+
+
+class NeutralLight(NamedTuple):
+    """What each surface's light is as that of a neutral one."""
+
+    unmixing: npt.NDArray[np.float32]
+    """(N, 3, 3) takes it to b cos(phi), b sin(phi) and a."""
+    ambient: npt.NDArray[np.float32]
+    """(N, 3) light that each sends back besides, levels."""
+    contrast: npt.NDArray[np.float32]
+    """(2, bins + 1) b over a at the bare phase from -pi to pi, and its derivative."""
+
+    @classmethod
+    def of(
+        cls, matrices: _Array, ambient: _Array, light: npt.NDArray[np.complex128], lag: _Array | None = None
+    ) -> "NeutralLight":
+        """Return that of surfaces.
+
+        Parameters
+        ----------
+        matrices : (N, 3, 3)
+            K of each, up to a factor; see `surface_matrix.py`.
+        ambient : (N, 3)
+            levels.
+        light : (3, harmonics) complex128
+            Of the projector's light over its mean, from the first on.
+        lag : (3,), optional
+            See `channel_delays`.
+        """
+        sent = waves(light, np.linspace(-np.pi, np.pi, _BINS, endpoint=False))[0]
+        vectors = phase_weights(np.eye(3), lag)
+        cosine, sine, mean = vectors @ sent
+        phases = np.linspace(-np.pi, np.pi, _BINS + 1)
+        rho = np.interp(phases, np.arctan2(sine, cosine), np.hypot(cosine, sine) / mean, period=2 * np.pi)
+        slope = (np.roll(rho[:-1], -1) - np.roll(rho[:-1], 1)) * (_BINS / (4 * np.pi))
+        table = np.stack([rho, np.append(slope, slope[0])])
+        tables = (vectors @ np.linalg.inv(matrices), ambient, table)
+        return cls(*(np.ascontiguousarray(part, np.float32) for part in tables))
+
+
+@kernel
+def average_light_kernel(
+    image: AnyArray3,  # (H, W, 3) levels
+    gains: F32Array3,  # (Hg, Wg, 3) that balance a neutral surface
+    spacing_px: i32,  # between these nodes
+    phase_weights: F32Array2,  # (3, 3)
+    blur: F32Array2,  # (Hn, Wn) what blur leaves of the contrast around every node
+    node_px: i32,  # between those
+    unlit: U8Array2,  # (H, W) 1: shows no fringe
+    clipped: f32,  # levels
+    rows: i32,  # px between places
+    columns: i32,
+    reach: i32,  # px of a mean on either side
+    cells: I32Array2,  # (h / 8 up, w / 16 up) 0: nobody asks
+    out: F32Array3,  # (h, w, 3) levels; SAYS_NOTHING
+    out_contrast: F32Array2,  # (h, w) see `Lattice`
+):
+    height, width = out.shape[0], out.shape[1]
+    strips = strip_count(width, AT_ONCE)
+    for t in range(height * strips):
+        i, first = t // strips, t % strips * AT_ONCE
+        if cells[i // CELL_ROWS, t % strips] != 0:
+            weights, y = matrix_of(phase_weights), i * rows
+            for j in range(first, ti.min(first + AT_ONCE, width)):
+                middle = ti.min(j * columns + columns // 2, image.shape[1] - 1)
+                gain = gain_at(gains, spacing_px, y, middle)
+                total, last, most, cosine, sine = vec3(0.0), vec3(0.0), 0.0, 0.0, 0.0
+                for k in range(-reach, reach + 1):
+                    x = ti.min(ti.max(middle + k, 0), image.shape[1] - 1)
+                    seen = color_at(image, y, x)
+                    vector = weighed_vector(seen, gain, weights)
+                    cosine += vector.x * last.x + vector.y * last.y
+                    sine += vector.y * last.x - vector.x * last.y
+                    total, last, most = total + seen, vector, ti.max(most, seen.max())
+                # A phase that is linear over n pixels has the variance slope^2 (n^2 - 1) / 12.
+                slope = ti.select(cosine > 0.0, sine / ti.max(cosine, 1e-9), 1.0)
+                lost = 1.0 + reach * (reach + 1) / 6.0 * ti.min(slope * slope, 1.0)
+                a, b = ti.min(y // node_px, blur.shape[0] - 1), ti.min(middle // node_px, blur.shape[1] - 1)
+                out_contrast[i, j] = blur[a, b] / lost
+                says = (most < clipped) & (ti.cast(unlit[ti.min(y, image.shape[0] - 1), middle], i32) == 0)
+                for c in ti.static(range(3)):
+                    out[i, j, c] = ti.select(says, total[c] / (2 * reach + 1), SAYS_NOTHING)
+
+
+def average_light(
+    image: LevelsImage,
+    gains: Gains,
+    crosstalk: Crosstalk,
+    blur: npt.NDArray[np.float32],
+    node_px: int,
+    unlit: _Mask,
+    levels: FrameLevels,
+    rows: int,
+    columns: int,
+    reach_px: int,
+    cells: I32 | None = None,
+) -> tuple[F32, F32]:
+    """Return mean light around places of a frame, and how much contrast that has left; see `Lattice`.
+
+    Parameters
+    ----------
+    image : (H, W, 3) uint8, uint16 or float32
+        Linear light, levels, stripes along the rows.
+    gains : Gains
+        That balance it.
+    crosstalk : Crosstalk
+        What they were measured with.
+    blur : (Hn, Wn) float32
+        What the camera's blur leaves of the contrast around every node, beside the usual.
+    node_px : int
+        px between these nodes.
+    unlit : (H, W) bool
+        Which pixels show no fringe: they say nothing.
+    levels : FrameLevels
+        Neither do clipped ones.
+    rows, columns : int
+        px between places.
+    reach_px : int
+        Pixels of a mean on either side.
+    cells : int32, optional
+        Which cells of 8 x 16 places are asked, others are undefined; None: all.
+    """
+    image = checks.read_array("image", image, (gains.height, gains.width, 3), *LEVEL_TYPES)
+    size = (-(-gains.height // rows), -(-gains.width // columns))
+    cells = np.ones(cells_of(size), np.int32) if cells is None else cells
+    out, contrast = runtime.empty((*size, 3), np.float32), runtime.empty(size, np.float32)
+    nodes = (gains.gains, gains.spacing_px, crosstalk.weights, blur, node_px)
+    average_light_kernel(
+        image, *nodes, unlit.view(np.uint8), levels.clipped, rows, columns, reach_px, cells, out, contrast
+    )
+    return out, contrast
+
+
+def cells_of(size: tuple[int, int]) -> tuple[int, int]:
+    """Return how many cells so many places have."""
+    return -(-size[0] // CELL_ROWS), -(-size[1] // AT_ONCE)
+
+
+@kernel
+def surface_misfits_kernel(
+    light: F32Array3,  # (h, w, 3) levels; see `average_light_kernel`
+    contrast: F32Array2,  # (h, w) of the fringe, beside the light's
+    cells: I32Array2,  # (h / 8 up, w / 16 up) a bit for each surface that is asked
+    unmixing: F32Array3,  # (N, 3, 3) see `NeutralLight`
+    ambient: F32Array2,  # (N, 3) levels
+    rho: F32Array2,  # (2, bins + 1)
+    read_variance: f32,  # levels^2 of a mean
+    noise_gain: f32,  # levels, of a mean
+    even: f32,  # standard deviation of a place's contrast, as a fraction, where blur is the usual
+    out: F32Array3,  # (N, h, w) standard deviations; SAYS_NOTHING; undefined where a surface is not asked
+    by_contrast: F32Array3,  # likewise: how that changes with the contrast, per 1
+):
+    height, width = out.shape[1], out.shape[2]
+    strips = strip_count(width, AT_ONCE)
+    for t in range(height * strips):
+        y, strip = t // strips, t % strips
+        bits, first = cells[y // CELL_ROWS, strip], strip * AT_ONCE
+        if bits != 0:
+            count = ti.min(AT_ONCE, width - first)
+            red, green, blue, sharp = place_lanes(0.0), place_lanes(0.0), place_lanes(0.0), place_lanes(1.0)
+            bare, ring, turn, result, changes = (
+                place_lanes(0.0),
+                place_lanes(0.0),
+                place_lanes(0.0),
+                place_lanes(0.0),
+                place_lanes(0.0),
+            )
+            for k in range(count):
+                red[k], green[k], blue[k] = light[y, first + k, 0], light[y, first + k, 1], light[y, first + k, 2]
+                sharp[k] = contrast[y, first + k]
+            for surface in range(out.shape[0]):
+                if (bits >> surface) & 1 == 1:
+                    inverse, rest = surface_matrix(unmixing, surface), surface_ambient(ambient, surface)
+                    for k in range(AT_ONCE):
+                        vector = inverse @ (vec3(red[k], green[k], blue[k]) - rest)
+                        bare[k] = (arctangent(vector.y, vector.x) + np.pi) * ti.static(_BINS / (2 * np.pi))
+                    for k in range(AT_ONCE):
+                        place = ti.min(ti.cast(bare[k], ti.i32), _BINS - 1)
+                        ring[k] = sharp[k] * (rho[0, place] + (bare[k] - place) * (rho[0, place + 1] - rho[0, place]))
+                        turn[k] = sharp[k] * rho[1, place]
+                    for k in range(AT_ONCE):
+                        seen = vec3(red[k], green[k], blue[k])
+                        vector = inverse @ (seen - rest)
+                        swing, size = vector.z * ring[k], ti.max(modulation_of(vector), 1e-9)
+                        cosine, sine, turned = vector.x / size, vector.y / size, vector.z * turn[k] / size
+                        across = vec3(cosine + sine * turned, sine - cosine * turned, -ring[k]) @ inverse
+                        wrong, doubt, lost = _MODEL_ERROR * seen.sum() / 3.0, _AMBIENT_ERROR * rest, sharp[k] - 1.0
+                        noise = read_variance + noise_gain * ti.max(seen, 0.0) + wrong * wrong + doubt * doubt
+                        uneven = even * even + _LOST_DOUBT * _LOST_DOUBT * lost * lost
+                        variance = (across * across).dot(noise) + uneven * swing * swing
+                        by_sigma = 1.0 / ti.sqrt(ti.max(variance, 1e-12))
+                        result[k] = ti.select(red[k] > SAYS_NOTHING, (size - swing) * by_sigma, SAYS_NOTHING)
+                        changes[k] = swing * by_sigma
+                    for k in range(count):
+                        out[surface, y, first + k] = result[k]
+                        by_contrast[surface, y, first + k] = changes[k]
+
+
+def surface_misfits(lattice: Lattice, neutral: NeutralLight, levels: FrameLevels, code_doubt: float) -> _Misfits:
+    """Return what each surface's matrix leaves over at every place.
+
+    Parameters
+    ----------
+    lattice : Lattice
+        The places' light.
+    neutral : NeutralLight
+        The surfaces.
+    levels : FrameLevels
+        The frame's noise.
+    code_doubt : float
+        Standard deviation of a cycle's contrast by the pattern's code, as a fraction; 0: there is no code.
+
+    Returns
+    -------
+    (N, h, w) float32
+        Squares of standard deviations, at most 16; -1 where a place says nothing.
+    """
+    size, count = lattice.contrast.shape, len(neutral.unmixing)
+    out, by_contrast = (np.empty((count, *size), np.float32) for _ in range(2))
+    cells = np.full(cells_of(size), (1 << count) - 1, np.int32)
+    even = _CORNERS if code_doubt > 0 else UNEVEN
+    fill_misfits(lattice.light, lattice.contrast, cells, neutral, levels, 2 * REACH_PX + 1, even, out, by_contrast)
+    said = lattice.says
+    if code_doubt > 0:
+        _take_off_code(lattice, out, by_contrast, said, code_doubt)
+    return np.where(said, np.minimum(out**2, MOST_MISFIT), np.float32(-1))
+
+
+def fill_misfits(
+    light: F32,
+    contrast: F32,
+    cells: I32,
+    neutral: NeutralLight,
+    levels: FrameLevels,
+    pixels: int,
+    even: float,
+    *out: F32,
+) -> None:
+    """Do what `surface_misfits_kernel` does with means over some pixels."""
+    noise = (levels.read_noise**2 / pixels, levels.noise_gain / pixels)
+    surface_misfits_kernel(light, contrast, cells, *neutral, *noise, even, *out)
+    runtime.synchronize()
+
+
+def _take_off_code(lattice: Lattice, residuals: _Misfits, by_contrast: _Misfits, said: _Mask, doubt: float) -> None:
+    """Subtract from the residuals, (N, h, w) standard deviations, what a cycle's own contrast explains.
+
+    By a code each cycle has one contrast. A matrix with more crosstalk looks like a cycle with less contrast: if every
+    place's contrast were doubted by itself, many places of a cycle would be evidence of another surface.
+    """
+    sigma = _CODE_CYCLES * lattice.period_px
+    places = 4 * np.pi * sigma**2 / lattice.pixels  # that the average is made of
+    prior = 1 / (doubt**2 * max(places, 1.0))
+    for left, change in zip(residuals, by_contrast, strict=True):
+        counted = np.where(said, change / np.maximum(1, np.abs(left) / _TRUSTED), np.float32(0))
+        slope, square = (lattice.blurred(counted * values, sigma) for values in (left, change))
+        left -= np.where(said, slope / (square + prior) * change, np.float32(0))
