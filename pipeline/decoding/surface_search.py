@@ -338,7 +338,7 @@ class SurfaceSearch:
         share = lattice.blurred(unexplained, sigma)[..., None]
         seen = lattice.blurred(np.where(unexplained[..., None], lattice.light, 0), sigma)
         ratios = color_ratios((seen / np.maximum(share, 1e-6))[unexplained])
-        centers = common_colors(ratios, np.ones(len(ratios)), least)[: min(_NEW, _MOST - count)]
+        centers = common_colors(ratios, np.ones(len(ratios)), least)[: max(0, min(_NEW, _MOST - count))]
         nearest = nearest_colors(ratios, centers)
         places = [_largest_part(unexplained, nearest == k, least) for k in range(len(centers))]
         places = [place for place in places if np.count_nonzero(place) >= least]
