@@ -43,7 +43,7 @@ _GOLDEN = 0.6180339887498949
 # Turns at the most; the first of these tell the common light, too; the last make no new surfaces; new ones a turn.
 _TURNS, _OF_LIGHT, _LAST, _NEW = 3, 2, 1, 5
 # Newton's steps in the first turn, and in those that begin where the last one ended.
-_FIRST_STEPS, _STEPS = 2, 1
+_FIRST_STEPS, _STEPS = 3, 1
 # The search ends once fewer places than this share change.
 _SETTLED = 0.005
 # Surfaces at the most.
