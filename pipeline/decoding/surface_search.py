@@ -34,9 +34,9 @@ _Labels = npt.NDArray[np.uint8]
 _Mask = npt.NDArray[np.bool_]
 _Complexes = npt.NDArray[np.complex128]
 
-# Places of all surfaces that are asked, and of one; those near its edges, where the other side's light is blurred in,
-# only if the inside has fewer than the third; and a surface has at least the fourth.
-_SAMPLES, _MOST_SAMPLES, _FEW_SAMPLES, _LEAST_SAMPLES = 4000, 1500, 60, 20
+# Places of all surfaces that are asked, in the first turn and in all others; and of one. Those near its edges, where
+# the other side's light is blurred in, only if the inside has fewer than the fourth; and it has at least the fifth.
+_FIRST_SAMPLES, _SAMPLES, _MOST_SAMPLES, _FEW_SAMPLES, _LEAST_SAMPLES = 1500, 4000, 1500, 60, 20
 _MARGIN_PX = 17
 # They are spread evenly: the golden section, whose multiples come nowhere near each other.
 _GOLDEN = 0.6180339887498949
@@ -52,7 +52,7 @@ _MOST = 16
 _UNFIT = 0.02
 # If the largest surface is off by more than this, the search has failed. Demosaicking and JPEG make up to 0.03, where
 # phases without surfaces are off up to four times as much; a calibration of another rig makes 0.06 and more.
-_CONTRADICTED = 0.04
+_CONTRADICTED = 0.05
 # Surfaces that are off by more than this, on more than this share of what is lit, are told of: on spots and highlights
 # `phase_sigma` is larger, but a fluorescent paint has another constant.
 _ODD, _ODD_SHARE = 0.025, 0.02
@@ -295,7 +295,8 @@ class SurfaceSearch:
     def _samples(self, chosen: list[npt.NDArray[np.intp]]) -> SurfaceSamples:
         """Return as many places of every surface, given all that it has."""
         look, known, lattice = self._look, self._known, self._lattice
-        spread = np.arange(min(_SAMPLES // len(chosen), _MOST_SAMPLES)) * _GOLDEN % 1
+        budget = _FIRST_SAMPLES if self._fitted is None else _SAMPLES
+        spread = np.arange(min(budget // len(chosen), _MOST_SAMPLES)) * _GOLDEN % 1
         places = np.stack([own[(spread * len(own)).astype(np.intp)] for own in chosen])
         share = np.minimum(1, [len(own) / len(spread) for own in chosen])
         ambient = np.zeros((len(chosen), 3)) if self._ambient is None else self._ambient
