@@ -40,12 +40,10 @@ _FIRST_SAMPLES, _SAMPLES, _MOST_SAMPLES, _FEW_SAMPLES, _LEAST_SAMPLES = 1500, 40
 _MARGIN_PX = 17
 # They are spread evenly: the golden section, whose multiples come nowhere near each other.
 _GOLDEN = 0.6180339887498949
-# Turns at the most; the first of these tell the common light, too; the last make no new surfaces; new ones a turn.
-_TURNS, _OF_LIGHT, _LAST, _NEW = 3, 2, 1, 5
+# Turns; all but the last tell the common light, too, and make new surfaces, so many at the most.
+_TURNS, _NEW = 3, 5
 # Newton's steps in the first turn, and in those that begin where the last one ended.
 _FIRST_STEPS, _STEPS = 3, 1
-# The search ends once fewer places than this share change.
-_SETTLED = 0.005
 # Surfaces at the most.
 _MOST = 16
 # A surface whose pixels are off its model by more than this fraction does not fit them, unless the frame began with it.
@@ -176,30 +174,27 @@ class SurfaceSearch:
 
     def run(self) -> FoundSurfaces | NoModelFits | None:
         """Look for the surfaces; None: there is but one, which acts as the balance alone undoes."""
-        turn, settled = 0, False
-        while True:
-            ends = settled or turn == _TURNS - 1
-            fitted = self._fit(turn, ends=ends)
+        for _ in range(_TURNS - 1):
+            fitted = self._fit()
             if fitted is None:
                 return None
-            before, new = self._labels, self._relabel(fitted)
-            kept = self._keep(new, fitted)
-            if ends:
-                return self._found(new, kept)
-            settled = turn >= _TURNS - _LAST or not self._add(new.unexplained & ~self._tried)
-            settled &= turn >= _OF_LIGHT and bool(np.mean(before != new.labels) < _SETTLED)
-            turn += 1
+            new = self._relabel(fitted)
+            self._keep(new, fitted)
+            self._add(new.unexplained & ~self._tried)
+        return self._last_turn(self._fit(ends=True))
 
     def follow(self, before: FoundSurfaces) -> FoundSurfaces | NoModelFits | None:
         """Look for the surfaces of a frame that begins with those of the one before: one turn, and the mean of both."""
         new = self._relabel(before.fitted, afresh=True)
-        self._keep(new, before.fitted)
+        kept = self._keep(new, before.fitted)
         self._tried |= self._near_edges(_EDGE_PX)
         self._add(new.unexplained & ~self._tried)
-        fitted = self._fit(_OF_LIGHT, ends=True)
-        if fitted is None or self._fitted is None:
+        fitted = self._fit(ends=True)
+        return self._last_turn(None if fitted is None else fitted.after(self._fitted or kept))
+
+    def _last_turn(self, fitted: FittedMatrices | None) -> FoundSurfaces | NoModelFits | None:
+        if fitted is None:
             return None
-        fitted = fitted.after(self._fitted)
         new = self._relabel(fitted)
         return self._found(new, self._keep(new, fitted))
 
@@ -240,7 +235,7 @@ class SurfaceSearch:
             choose_surfaces(*seen, cells, neutral, look.levels, doubt, lattice, new.around, labels)
         return labels
 
-    def _fit(self, turn: int, *, ends: bool) -> FittedMatrices | None:
+    def _fit(self, *, ends: bool = False) -> FittedMatrices | None:
         """Fit the surfaces' matrices; None if the frame's only surface acts as the balance alone undoes.
 
         Noise tells surfaces apart best; in the end it is the model that is wrong by more.
@@ -268,7 +263,7 @@ class SurfaceSearch:
                 known.light,
                 known.doubt,
                 self._fitted,
-                fit_light=turn < _OF_LIGHT,
+                fit_light=not ends,
                 steps=_FIRST_STEPS if self._fitted is None else _STEPS,
             )
             for bands in self._bands
@@ -329,12 +324,12 @@ class SurfaceSearch:
         self._first = self._spared = self._first[new.kept]
         return kept
 
-    def _add(self, unexplained: _Mask) -> bool:
-        """Make new surfaces of places that none explains; return whether there are any."""
+    def _add(self, unexplained: _Mask) -> None:
+        """Make new surfaces of places that none explains."""
         lattice, count = self._lattice, len(self._colors)
         least = LEAST_PX / lattice.pixels
         if np.count_nonzero(unexplained) < least or self._ambient is None:
-            return False
+            return
         sigma = _COLOR_CYCLES * lattice.period_px
         share = lattice.blurred(unexplained, sigma)[..., None]
         seen = lattice.blurred(np.where(unexplained[..., None], lattice.light, 0), sigma)
@@ -344,7 +339,7 @@ class SurfaceSearch:
         places = [_largest_part(unexplained, nearest == k, least) for k in range(len(centers))]
         places = [place for place in places if np.count_nonzero(place) >= least]
         if not places:
-            return False
+            return
         light = np.array([lattice.light[place].mean(axis=0) for place in places], np.float64)
         ambient = np.minimum(np.median(self._ambient, axis=0), _MOST_AMBIENT * light)
         self._labels = self._labels.copy()
@@ -354,7 +349,6 @@ class SurfaceSearch:
         self._ambient = np.concatenate([self._ambient, ambient])
         self._spared = np.concatenate([self._spared, np.ones(len(places), bool)])
         self._first = np.concatenate([self._first, np.zeros(len(places), bool)])
-        return True
 
     def _renumber(self, numbers: list[int]) -> None:
         """Drop the surfaces that have no places to speak of."""
