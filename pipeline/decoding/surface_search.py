@@ -36,7 +36,7 @@ _Complexes = npt.NDArray[np.complex128]
 
 # Places of all surfaces that are asked, in the first turn and in all others; and of one. Those near its edges, where
 # the other side's light is blurred in, only if the inside has fewer than the fourth; and it has at least the fifth.
-_FIRST_SAMPLES, _SAMPLES, _MOST_SAMPLES, _FEW_SAMPLES, _LEAST_SAMPLES = 1500, 4000, 1500, 60, 20
+_FIRST_SAMPLES, _SAMPLES, _MOST_SAMPLES, _FEW_SAMPLES, _LEAST_SAMPLES = 1000, 4000, 1500, 60, 20
 _MARGIN_PX = 17
 # They are spread evenly: the golden section, whose multiples come nowhere near each other.
 _GOLDEN = 0.6180339887498949
