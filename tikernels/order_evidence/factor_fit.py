@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from tikernels import runtime
 from tikernels._taichi import (
     F32Array1,
     F32Array2,
@@ -339,7 +340,7 @@ def fit_factors(
         level, and if each, or each cycle, has one of the others by itself?
     """
     count, without = len(offsets), any_of is not None
-    departs, out = np.empty((count, values.shape[1]), np.float32), np.empty((count, 6), np.float32)
+    departs, out = runtime.empty((count, values.shape[1]), np.float32), np.empty((count, 6), np.float32)
     fit_factors_kernel(
         values,
         values[: Row.LEVEL + 1] if level is None else level,
@@ -398,7 +399,7 @@ def flatten(
     (K, wanted) float32
     """
     rows, columns = (int(places.max()) + 1 for places in cells)
-    sums = np.empty((2, len(offsets), (rows + 1) * (columns + 1)), np.float32)
+    sums = runtime.empty((2, len(offsets), (rows + 1) * (columns + 1)), np.float32)
     out = np.empty((len(offsets), -(-values.shape[1] // step)), np.float32)
     at_each = offsets.astype(np.int32), np.ascontiguousarray(terms.T, np.float32)
     flatten_kernel(values, cells, levels, *at_each, response, rows, *reach, step, sums, out)
