@@ -195,7 +195,7 @@ class CodeReader:
         values[Row.OFF] = _of_neighbours(blocks.off[which])
         values[Row.ORDER] = np.where(np.isfinite(columns[:, 0]), blocks.order[which], _NO_ORDER)
         values[Row.COLUMN :] = np.nan_to_num(columns).T / np.float32(self.code.repeats_px)
-        cells = (place.T / np.array([[CELL_HEIGHT], [BLOCK_WIDTH]])).astype(np.int32)
+        cells = (place / (CELL_HEIGHT, BLOCK_WIDTH)).T.astype(np.int32, order="C")
         return PartBlocks(values, cells - cells.min(axis=1, keepdims=True), self.offsets(which), middle, usual)
 
     def fit(self, which: Integers, offset: int) -> Factor:
@@ -270,8 +270,12 @@ class CodeReader:
         if self.code.cell_px is None:
             values = np.take(values, np.argsort(values[Row.ORDER], kind="stable"), axis=1)
         even, levels = self.levels_now.mean(), self.levels_now[::3, ::5]
-        any_of = np.quantile(levels - levels.mean(), (np.arange(LEVELS) + 0.5) / LEVELS)
-        fitted = self._fit(values, np.zeros(1, np.int64), any_of=np.append(even, any_of).astype(np.float32))
+        any_of = np.interp(
+            (np.arange(LEVELS) + 0.5) / LEVELS, np.linspace(0, 1, levels.size), np.sort(levels, axis=None)
+        )
+        fitted = self._fit(
+            values, np.zeros(1, np.int64), any_of=np.append(even, any_of - levels.mean()).astype(np.float32)
+        )
         return float(fitted.likelihood[0]), float(fitted.other[0])
 
     def flattened(self, which: Integers, offset: int, around: tuple[int, int]) -> FloatArray:
