@@ -39,7 +39,7 @@ _FITTED = 0.012
 # How probably a block shows something else than the code, and how far that then lies off.
 _OTHER, _OTHER_SIGMA = 0.15, 0.2
 # Rounds in which a fit finds out which blocks show something else; they start at the median, which is found by halving.
-_ROUNDS, _HALVINGS = 3, 12
+_ROUNDS, _HALVINGS = 3, 10
 #: Levels that stand for all of a code's.
 LEVELS = 8
 # At most so much of what is left of a block counts as its surroundings'.
@@ -96,11 +96,17 @@ def logarithm(x: f32) -> f32:
 
 
 @ti.func
+def odds_of_code(depart: f32, near: f32, far: f32) -> f32:
+    """Return how much likelier a block shows the code than something else, by how far off it is, and the variances."""
+    return (1 - _OTHER) / _OTHER * ti.sqrt(far / near) * exponential(-0.5 * depart * depart * (1 / near - 1 / far))
+
+
+@ti.func
 def log_density(depart: f32, variance: f32, spread: f32) -> f32:
     """Return the logarithm of how usual it is, under a spread, that a block deviates by so much from the code."""
-    near, far = variance + spread * spread, variance + _OTHER_SIGMA**2
-    other = _OTHER * exponential(-0.5 * depart * depart / far) / ti.sqrt(far)
-    return logarithm((1 - _OTHER) * exponential(-0.5 * depart * depart / near) / ti.sqrt(near) + other)
+    far = variance + _OTHER_SIGMA**2
+    other = logarithm(_OTHER / ti.sqrt(far)) - 0.5 * depart * depart / far
+    return other + logarithm(1.0 + odds_of_code(depart, variance + spread * spread, far))
 
 
 @ti.func
@@ -148,13 +154,13 @@ def median(departs: Static, f: i32) -> f32:
 
 @ti.func
 def solved(normal: mat4, right: vec4):
-    """Solve normal equations, and return the logarithm of their determinant as well."""
+    """Solve normal equations, of which half are given, and return the logarithm of their determinant as well."""
     a, b = normal, right
     for k in ti.static(range(4)):
         for row in ti.static(range(k + 1, 4)):
-            share = a[row, k] / a[k, k]
+            share = a[k, row] / a[k, k]
             b[row] -= share * b[k]
-            for column in ti.static(range(k, 4)):
+            for column in ti.static(range(row, 4)):
                 a[row, column] -= share * a[k, column]
     for k in ti.static(range(3, -1, -1)):
         for column in ti.static(range(k + 1, 4)):
@@ -220,18 +226,18 @@ def fit_factors_kernel(
         if gain_known == 1:
             fit[0], usual = (usual - gain) / gain_sigma, gain
         for _ in range(_ROUNDS):
-            normal, right = mat4(0.0), vec4(0.0)
+            normal, right = ti.Matrix.identity(ti.f32, 4), vec4(0.0)
             for n in range(count):
                 terms, depart = factor_terms(values, n, gain_sigma), departs[f, n] - usual
                 near = values[Row.VARIANCE, n] + _FITTED**2
-                far = near + _OTHER_SIGMA**2
-                code = exponential(-0.5 * (depart - terms.dot(fit)) ** 2 * (1 / near - 1 / far))
-                weight = values[Row.COUNTS, n] / near * code / (code + _OTHER / (1 - _OTHER) * ti.sqrt(near / far))
+                odds = odds_of_code(depart - terms.dot(fit), near, near + _OTHER_SIGMA**2)
+                weight = values[Row.COUNTS, n] / near * odds / (1.0 + odds)
                 weight = ti.select(has_order(values, n, offset, levels.shape[1], no_code), weight, 0.0)
-                normal += weight * terms.outer_product(terms)
-                right += weight * depart * terms
-            for k in ti.static(range(4)):
-                normal[k, k] += 1.0
+                weighted = weight * terms
+                for j in ti.static(range(4)):
+                    for k in ti.static(range(j, 4)):
+                        normal[j, k] += weighted[j] * terms[k]
+                right += depart * weighted
             fit, cost = solved(normal, right)
         for n in range(count):
             departs[f, n] = departs[f, n] - usual - factor_terms(values, n, gain_sigma).dot(fit)
