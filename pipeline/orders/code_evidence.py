@@ -215,7 +215,7 @@ class CodeReader:
         """Fit the factor of a part's blocks (ROWS, n) at offsets (K,).
 
         As if the code lay so many px (K,) further along the stripe, and under responses of these numbers (K,), if not
-        the frame's.
+        the frame's; otherwise as `fit_factors` has it.
         """
         values[Row.COUNTS] = self._counts(values)
         return fit_factors(

@@ -445,7 +445,7 @@ _ALL = (
         {"code_evidence:CodeReader._flat": unflattened}, "code_evidence:CodeReader.flattened factor_fit:flatten",
         promise="regions that have joined surfaces"),
     Mechanism("cycles count once", "what is not known of the response all blocks of a cycle share", "pile-small-coded",
-        {"code_evidence:_OF_CYCLE": gives(1e9)}, "code_evidence:CodeReader._counts",
+        {"code_evidence:OF_CYCLE": gives(1e9)}, "code_evidence:CodeReader._counts",
         promise="of 192 strips of two to four cycles 18 were absolute and wrong without it"),
     Mechanism("code's shift", "the second code is read where it lies, up to a quarter of a cell off", "",
         {"code_evidence:CodeReader._shift_near": gives(0.0)},

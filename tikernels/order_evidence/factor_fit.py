@@ -1,9 +1,9 @@
-"""Fit what the contrasts of a part's blocks have in common beside the code, at many offsets of many parts at once.
+"""Fit what the contrasts of a part's blocks have in common beside the code, at many offsets at once.
 
 The logarithm of a block's contrast is the code's at some offset, plus a factor: a plane over the part less a share of
 ambient light. Both are fitted robustly at each offset, and the likelihood is that of what the fit leaves.
-`docs/coded_pattern.md` has the derivation. A CPU takes sixteen blocks at a time: loops over blocks only add up, and
-compute exponentials and logarithms themselves.
+`docs/coded_pattern.md` has the derivation. A CPU takes several blocks at once where a loop over them only adds up, and
+calls no function for exponentials and logarithms.
 """
 
 from enum import IntEnum
