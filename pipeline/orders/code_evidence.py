@@ -172,9 +172,11 @@ class CodeReader:
         """Return (n,) the code's levels where blocks (n,) have orders (n,), and whether the code has those."""
         inside = (orders >= 0) & (orders < self.cycles)
         orders = np.clip(orders, 0, self.cycles - 1)
-        along = column_at(self.columns[which], orders)
-        inside &= np.isfinite(along)  # some rays meet the pattern nowhere
-        places, levels = self.code.place_at(np.nan_to_num(along)), self.levels_now
+        places, levels = np.zeros(len(which), np.int64), self.levels_now
+        if self.code.cell_px is not None:
+            along = column_at(self.columns[which], orders)
+            inside &= np.isfinite(along)  # some rays meet the pattern nowhere
+            places = self.code.place_at(np.nan_to_num(along))
         change = levels[np.minimum(orders + 1, self.cycles - 1), places] - levels[np.maximum(orders - 1, 0), places]
         return np.asarray(levels[orders, places] + _of_neighbours(self.blocks.off[which]) * change, np.float64), inside
 
