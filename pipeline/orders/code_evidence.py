@@ -17,7 +17,7 @@ from pipeline.orders.code_blocks import Blocks
 from pipeline.orders.posterior import NOTHING_KNOWN, Integers, Posterior
 from pipeline.orders.stripe_columns import StripeColumns, column_at
 from tikernels.order_evidence.contrast_reading import BLOCK_WIDTH
-from tikernels.order_evidence.factor_fit import LEVELS, ROWS, Fitted, Row, fit_factors, flatten
+from tikernels.order_evidence.factor_fit import EVEN, LEVELS, ROWS, Fitted, Row, fit_factors, flatten
 from tikernels.unwrapping.tables import CELL_HEIGHT
 
 # Blocks side by side deviate alike: each counts as this many. Those of a cycle with one symbol do so all along, by what
@@ -162,6 +162,7 @@ class CodeReader:
         #: (gammas, cycles, places)
         self.levels = code.levels(width_px, self.cycles)
         self._gamma = GAMMAS.index(2.0)
+        self._any_of: dict[int, npt.NDArray[np.float32]] = {}  # by response; see `fit_factors`
 
     @property
     def levels_now(self) -> npt.NDArray[np.float32]:
@@ -212,23 +213,28 @@ class CodeReader:
         offsets: Integers,
         responses: Integers | None = None,
         shifts_px: FloatArray | float = 0.0,
-        **otherwise: npt.NDArray[np.float32],
+        level: npt.NDArray[np.float32] | None = None,
     ) -> Fitted:
         """Fit the factor of a part's blocks (ROWS, n) at offsets (K,).
 
         As if the code lay so many px (K,) further along the stripe, and under responses of these numbers (K,), if not
-        the frame's; otherwise as `fit_factors` has it.
+        the frame's; and as if the blocks' contrasts were these levels (K, n), if not as they were seen.
         """
         values[Row.COUNTS] = self._counts(values)
+        if self._gamma not in self._any_of:
+            levels = np.sort(self.levels_now[::3, ::5], axis=None)
+            some = np.interp((np.arange(LEVELS) + 0.5) / LEVELS, np.linspace(0, 1, len(levels)), levels - levels.mean())
+            self._any_of[self._gamma] = np.append(self.levels_now.mean(), some).astype(np.float32)
         return fit_factors(
             values,
             self.levels,
+            self._any_of[self._gamma],
             offsets,
             self._gamma if responses is None else responses,
             shifts_px / self.code.repeats_px,
             (self._gain, _ANY_GAIN if self._gain is None else _GAIN),
             by_cycle=self.code.cell_px is None,
-            **otherwise,
+            level=level,
         )
 
     def _counts(self, values: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
@@ -254,8 +260,8 @@ class CodeReader:
         if len(offsets) == 0:
             return _UNREAD
         shown = _thinned(part.values, _SOME)
-        likelihood, _, terms = self._fit(shown, offsets)
         if part.values.shape[1] > _FLATTENED:
+            likelihood, _, terms = self._fit(shown, offsets)
             likely, shown = np.argsort(likelihood)[-_LIKELIEST:], _thinned(part.values, _MANY)
             # Each as if what is left of the factor were so by its offset.
             flat = self._flat(part, offsets[likely], terms[:, likely], _AROUND, _step(part.values, _MANY))
@@ -264,21 +270,18 @@ class CodeReader:
             # The others were less likely than any of these.
             likelihood = np.full(len(offsets), found.min())
             likelihood[likely] = found
-        even, other = self._without_code(shown)
+            without = self._fit_with_even(shown, offsets[:0])
+        else:
+            without = self._fit_with_even(shown, offsets)
+            likelihood, terms = without.likelihood[:-1], without.terms[:, :-1]
+        even, other = float(without.likelihood[-1]), float(without.other[-1])
         return PartEvidence(int(offsets[0]), likelihood, even, other, terms)
 
-    def _without_code(self, values: npt.NDArray[np.float32]) -> tuple[float, float]:
-        """Return how likely blocks (ROWS, n) are if all have one level, and if each, or each cycle, has its own."""
+    def _fit_with_even(self, values: npt.NDArray[np.float32], offsets: Integers) -> Fitted:
+        """Fit the factor of a part's blocks (ROWS, n) at offsets (K,), and last as if they did not show the code."""
         if self.code.cell_px is None:
             values = np.take(values, np.argsort(values[Row.ORDER], kind="stable"), axis=1)
-        even, levels = self.levels_now.mean(), self.levels_now[::3, ::5]
-        any_of = np.interp(
-            (np.arange(LEVELS) + 0.5) / LEVELS, np.linspace(0, 1, levels.size), np.sort(levels, axis=None)
-        )
-        fitted = self._fit(
-            values, np.zeros(1, np.int64), any_of=np.append(even, any_of - levels.mean()).astype(np.float32)
-        )
-        return float(fitted.likelihood[0]), float(fitted.other[0])
+        return self._fit(values, np.append(offsets, 0), np.append(np.full(len(offsets), self._gamma), EVEN))
 
     def flattened(self, which: Integers, offset: int, around: tuple[int, int]) -> FloatArray:
         """Return the contrasts (n,) of a part's blocks as if its factor were the same all over.
@@ -376,8 +379,8 @@ class CodeReader:
                 few, offsets = _thinned(self._part(some).values, _FEW), self.offsets(some)
                 each, further = np.repeat(offsets, len(shifts)), np.tile(shifts, len(offsets))
                 by_offset = self._fit(few, each, shifts_px=further).likelihood.reshape(len(offsets), -1)
-                none = np.logaddexp(*self._without_code(few))
-                total += np.logaddexp.reduce(by_offset, axis=0) - np.log(len(offsets)) - none
+                even, other, _ = self._fit_with_even(few, offsets[:0])
+                total += np.logaddexp.reduce(by_offset, axis=0) - np.log(len(offsets)) - np.logaddexp(even, other)
         total = totals[totals.max(axis=1).argmax()]
         off = np.abs(shifts - shifts[total.argmax()])
         elsewhere = total[np.minimum(off, self.code.repeats_px - off) > self.code.cell_px].max()

@@ -42,6 +42,8 @@ _OTHER, _OTHER_SIGMA = 0.15, 0.2
 _ROUNDS, _HALVINGS = 3, 10
 #: Levels that stand for all of a code's.
 LEVELS = 8
+#: In place of a response's number: as if all blocks showed the same level, or each one by itself.
+EVEN = -1
 # At most so much of what is left of a block counts as its surroundings'.
 _MOST_LOCAL = 0.2
 # Farther than any contrast, and a difference of two that is none.
@@ -71,7 +73,7 @@ class Fitted(NamedTuple):
     likelihood: npt.NDArray[np.float64]
     """(K,) natural logarithm."""
     other: npt.NDArray[np.float64]
-    """(K,) the same if each block, or cycle, has a level by itself; 0 unless that is asked for."""
+    """(K,) under EVEN the same if each block, or cycle, has a level by itself; else 0."""
     terms: npt.NDArray[np.float64]
     """(4, K) of the factor: how much of 1, and of those in `Row`."""
 
@@ -128,10 +130,10 @@ def factor_terms(values: Static, n: i32, gain_sigma: f32) -> vec4:
 
 
 @ti.func
-def has_order(values: Static, n: i32, offset: i32, cycles: i32, no_code: i32) -> u1:
+def has_order(values: Static, n: i32, offset: i32, cycles: i32, response: i32) -> u1:
     """Whether the code has the order of a block at an offset."""
     order = values[Row.ORDER, n] + offset
-    return (no_code == 1) | ((order > -0.5) & (order < cycles - 0.5))
+    return (response < 0) | ((order > -0.5) & (order < cycles - 0.5))
 
 
 @ti.func
@@ -201,10 +203,9 @@ def fit_factors_kernel(
     level: F32Array2,  # (1 or K, n) the blocks' contrasts: for all fits, or for each
     levels: F32Array3,  # (responses, cycles, places) the code's
     offsets: I32Array1,  # (K,) of each fit
-    responses: I32Array1,  # (K,) numbers of responses
+    responses: I32Array1,  # (K,) numbers of responses, or EVEN
     shifts: F32Array1,  # (K,) by how many repeats the code lies further along the stripe
     any_of: F32Array1,  # (1 + LEVELS,) the code's mean level, and levels less it, which stand for all
-    no_code: i32,  # 1: as if all blocks showed the mean level, or each, or each cycle, one of the others
     gain: f32,  # the usual factor
     gain_sigma: f32,  # by how much a part's differs from it
     gain_known: i32,  # 0: the part's own median is taken for the usual factor
@@ -214,11 +215,11 @@ def fit_factors_kernel(
 ):
     """Fit each factor, and weigh what it leaves."""
     for f in range(offsets.shape[0]):
-        offset, count = offsets[f], values.shape[1]
+        offset, response, count = offsets[f], responses[f], values.shape[1]
         for n in range(count):
             expected = any_of[0]
-            if no_code == 0:
-                expected = expected_level(values, levels, n, responses[f], offset, shifts[f])
+            if response >= 0:
+                expected = expected_level(values, levels, n, response, offset, shifts[f])
             departs[f, n] = level[ti.min(f, level.shape[0] - 1), n] - expected
         # From the median on: what shows something else must not pull at the start.
         usual = median(departs, f)
@@ -232,7 +233,7 @@ def fit_factors_kernel(
                 near = values[Row.VARIANCE, n] + _FITTED**2
                 odds = odds_of_code(depart - terms.dot(fit), near, near + _OTHER_SIGMA**2)
                 weight = values[Row.COUNTS, n] / near * odds / (1.0 + odds)
-                weight = ti.select(has_order(values, n, offset, levels.shape[1], no_code), weight, 0.0)
+                weight = ti.select(has_order(values, n, offset, levels.shape[1], response), weight, 0.0)
                 weighted = weight * terms
                 for j in ti.static(range(4)):
                     for k in ti.static(range(j, 4)):
@@ -245,13 +246,13 @@ def fit_factors_kernel(
         for n in range(count):
             variance = values[Row.VARIANCE, n]
             outside = logarithm(_OTHER / ti.sqrt(variance + _OTHER_SIGMA**2))
-            inside = has_order(values, n, offset, levels.shape[1], no_code)
+            inside = has_order(values, n, offset, levels.shape[1], response)
             for k in ti.static(range(4)):
                 density = ti.select(inside, log_density(departs[f, n], variance, SPREADS[k]), outside)
                 shown[k] += values[Row.COUNTS, n] * density
         out[f, 0] = log_mean(shown) - 0.5 * (cost + fit.dot(fit))
         out[f, 1] = 0.0
-        if no_code == 1:
+        if response < 0:
             out[f, 1] = any_level(values, departs, any_of, f, by_cycle)
         out[f, 2] = usual + gain_sigma * fit[0]
         for k in ti.static(range(1, 4)):
@@ -312,6 +313,7 @@ def flatten_kernel(
 def fit_factors(
     values: npt.NDArray[np.float32],
     levels: npt.NDArray[np.float32],
+    any_of: npt.NDArray[np.float32],
     offsets: npt.NDArray[np.integer],
     responses: npt.NDArray[np.integer] | int,
     shifts: npt.NDArray[np.floating] | float,
@@ -319,20 +321,22 @@ def fit_factors(
     *,
     by_cycle: bool,
     level: npt.NDArray[np.float32] | None = None,
-    any_of: npt.NDArray[np.float32] | None = None,
 ) -> Fitted:
     """Fit a part's factor at several offsets.
 
     Parameters
     ----------
     values : (ROWS, n) float32
-        The blocks; see `Row`. With `any_of`, those of a cycle lie side by side if they have one level.
+        The blocks; see `Row`. Under EVEN those of a cycle lie side by side if they have one level.
     levels : (responses, cycles, places) float32
         The code's, natural logarithm.
+    any_of : (1 + LEVELS,) float32
+        The mean level, which all blocks show under EVEN; and levels less it that stand for all, one of which each block
+        shows there, or each cycle, otherwise.
     offsets : (K,) int
         Whole cycles that the orders lack.
     responses : (K,) int
-        Numbers of responses.
+        Numbers of responses, or EVEN.
     shifts : (K,) float
         By how many repeats the code lies further along the stripe.
     gain : two float
@@ -341,11 +345,8 @@ def fit_factors(
         Whether all blocks of a cycle have the same level.
     level : (K, n) float32, optional
         The blocks' contrasts in each fit, if not as they were seen.
-    any_of : (1 + LEVELS,) float32, optional
-        The code's mean level, and levels less it that stand for all: how likely are the blocks if all have the mean
-        level, and if each, or each cycle, has one of the others by itself?
     """
-    count, without = len(offsets), any_of is not None
+    count = len(offsets)
     departs, out = runtime.empty((count, values.shape[1]), np.float32), np.empty((count, 6), np.float32)
     fit_factors_kernel(
         values,
@@ -354,8 +355,7 @@ def fit_factors(
         offsets.astype(np.int32),
         np.broadcast_to(responses, count).astype(np.int32),
         np.broadcast_to(shifts, count).astype(np.float32),
-        np.zeros(1, np.float32) if any_of is None else any_of,
-        without,
+        any_of,
         gain[0] or 0.0,
         gain[1],
         gain[0] is not None,

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from tikernels.order_evidence.factor_fit import LEVELS, ROWS, SPREADS, Row, fit_factors, flatten
+from tikernels.order_evidence.factor_fit import EVEN, LEVELS, ROWS, SPREADS, Row, fit_factors, flatten
 
 RESPONSES, CYCLES, PLACES = 3, 20, 30
+ANY_OF = np.array([0.05, *np.linspace(-0.1, 0.1, LEVELS)], np.float32)
 NOISE, OTHER, OTHER_SIGMA, FITTED = 0.01, 0.15, 0.2, 0.012
 
 
@@ -77,7 +78,9 @@ def test_fits_as_the_twin(arch, gain, gain_sigma):
     offsets, responses, shifts = np.array([5, 5, 5, 4, 14, -3]), np.array([1, 1, 2, 1, 1, 0]), np.arange(6) % 2 * 0.03
     each = (values[Row.LEVEL] + rng.normal(0, 0.02, (6, values.shape[1]))).astype(np.float32)
     for level in (None, each):
-        found = fit_factors(values, levels, offsets, responses, shifts, (gain, gain_sigma), by_cycle=False, level=level)
+        found = fit_factors(
+            values, levels, ANY_OF, offsets, responses, shifts, (gain, gain_sigma), by_cycle=False, level=level
+        )
         for k in range(6):
             shown, inside = expected(values, levels, responses[k], offsets[k], shifts[k])
             seen = values[Row.LEVEL] if level is None else level[k]
@@ -87,7 +90,7 @@ def test_fits_as_the_twin(arch, gain, gain_sigma):
         assert found.likelihood.argmax() == 0
         assert not found.other.any()
     np.testing.assert_allclose(
-        fit_factors(values, levels, offsets[:1], 1, 0.0, (None, 0.5), by_cycle=False).terms[:, 0],
+        fit_factors(values, levels, ANY_OF, offsets[:1], 1, 0.0, (None, 0.5), by_cycle=False).terms[:, 0],
         [-0.2, 0.8, -0.5, 0.3],
         atol=0.1,
     )
@@ -100,19 +103,20 @@ def test_blocks_without_the_code_as_the_twin(arch, by_cycle, count):
     rng = np.random.default_rng(1)
     levels = code(rng)
     values = blocks(rng, levels, 5, count)
-    any_of = np.array([0.05, *np.linspace(-0.1, 0.1, LEVELS)], np.float32)
-    found = fit_factors(values, levels, np.zeros(1, int), 0, 0.0, (None, 0.5), by_cycle=by_cycle, any_of=any_of)
-    likelihood, terms, departs = fitted(values, values[Row.LEVEL] - any_of[0], np.ones(count, bool), None, 0.5)
-    assert found.likelihood[0] == pytest.approx(likelihood, abs=2e-3, rel=1e-5)
-    np.testing.assert_allclose(found.terms[:, 0], terms, atol=1e-4)
+    found = fit_factors(
+        values, levels, ANY_OF, np.array([3, 0]), np.array([1, EVEN]), 0.0, (None, 0.5), by_cycle=by_cycle
+    )
+    likelihood, terms, departs = fitted(values, values[Row.LEVEL] - ANY_OF[0], np.ones(count, bool), None, 0.5)
+    assert found.likelihood[1] == pytest.approx(likelihood, abs=2e-3, rel=1e-5)
+    np.testing.assert_allclose(found.terms[:, 1], terms, atol=1e-4)
     cycle = values[Row.ORDER] if by_cycle else np.arange(count)
     total = []
     for spread in SPREADS:
-        shown = np.log(densities(departs[:, None] - any_of[1:], values[Row.VARIANCE, :, None], spread))
+        shown = np.log(densities(departs[:, None] - ANY_OF[1:], values[Row.VARIANCE, :, None], spread))
         shown = shown * values[Row.COUNTS, :, None]
         total.append(sum(np.log(np.exp(shown[cycle == each].sum(axis=0)).mean()) for each in np.unique(cycle)))
     expected = np.logaddexp.reduce(total) - np.log(len(SPREADS))
-    assert found.other[0] == pytest.approx(expected, abs=2e-3, rel=1e-5)
+    assert found.other[0] == 0 and found.other[1] == pytest.approx(expected, abs=2e-3, rel=1e-5)
 
 
 def test_flat_levels_as_the_twin(arch):
