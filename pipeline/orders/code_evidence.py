@@ -17,12 +17,12 @@ from pipeline.orders.code_blocks import Blocks
 from pipeline.orders.posterior import NOTHING_KNOWN, Integers, Posterior
 from pipeline.orders.stripe_columns import StripeColumns, column_at
 from tikernels.order_evidence.contrast_reading import BLOCK_WIDTH
-from tikernels.order_evidence.factor_fit import EVEN, LEVELS, ROWS, Fitted, Row, fit_factors, flatten
+from tikernels.order_evidence.factor_fit import EVEN, FITTED, LEVELS, ROWS, Fitted, Row, fit_factors, flatten
 from tikernels.unwrapping.tables import CELL_HEIGHT
 
-# Blocks side by side deviate alike: each counts as this many. Those of a cycle with one symbol do so all along, by what
-# is not known of the response: they count as this many together, those of the least noise (a variance more) most.
-_INDEPENDENT, OF_CYCLE, _SAME_NOISE = 0.6, 2.0, 0.012**2
+# The blocks of a cycle with one symbol deviate alike, by what is not known of the response: they count as this many
+# together, those without noise most.
+OF_CYCLE = 2.0
 # Standard deviations of a part's factor: of its slopes (a px), of ambient light's share, and of its middle, about the
 # frame's once that is known.
 _SLOPE, _AMBIENT, _GAIN, _ANY_GAIN = 5e-4, 0.25, 0.08, 0.5
@@ -240,11 +240,10 @@ class CodeReader:
     def _counts(self, values: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         """Return as how many each of a part's blocks (ROWS, n) counts."""
         if self.code.cell_px is not None:
-            return np.full(values.shape[1], _INDEPENDENT, np.float32)
-        # Of a cycle's blocks those without noise count most.
-        precision = 1 / (values[Row.VARIANCE] + _SAME_NOISE)
+            return np.ones(values.shape[1], np.float32)
+        precision = 1 / (values[Row.VARIANCE] + FITTED**2)
         cycle = (values[Row.ORDER] - values[Row.ORDER].min()).astype(np.int64)
-        return np.asarray(np.minimum(_INDEPENDENT, OF_CYCLE * precision / np.bincount(cycle, precision)[cycle]))
+        return np.asarray(np.minimum(1.0, OF_CYCLE * precision / np.bincount(cycle, precision)[cycle]))
 
     def read(self, which: Integers) -> PartEvidence:
         """Return what the blocks (n,) of a part say of its offsets."""

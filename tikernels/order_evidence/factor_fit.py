@@ -32,10 +32,10 @@ from tikernels._taichi import (
 from tikernels.launching import kernel
 from tikernels.unwrapping.tables import add_alone
 
-# What a block's contrast deviates by beside the camera's noise (natural logarithm), each twice the one before, and the
-# one that is fitted with.
+#: What a block's contrast deviates by beside the camera's noise (natural logarithm), each twice the one before, and the
+#: one that is fitted with.
 SPREADS = (0.006, 0.012, 0.024, 0.048)
-_FITTED = 0.012
+FITTED = 0.024
 # How probably a block shows something else than the code, and how far that then lies off.
 _OTHER, _OTHER_SIGMA = 0.15, 0.2
 # Rounds in which a fit finds out which blocks show something else; they start at the median, which is found by halving.
@@ -230,7 +230,7 @@ def fit_factors_kernel(
             normal, right = ti.Matrix.identity(ti.f32, 4), vec4(0.0)
             for n in range(count):
                 terms, depart = factor_terms(values, n, gain_sigma), departs[f, n] - usual
-                near = values[Row.VARIANCE, n] + _FITTED**2
+                near = values[Row.VARIANCE, n] + FITTED**2
                 odds = odds_of_code(depart - terms.dot(fit), near, near + _OTHER_SIGMA**2)
                 weight = values[Row.COUNTS, n] / near * odds / (1.0 + odds)
                 weight = ti.select(has_order(values, n, offset, levels.shape[1], response), weight, 0.0)
