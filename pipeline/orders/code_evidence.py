@@ -33,13 +33,13 @@ _SOME, _LIKELIEST, _MANY = 300, 4, 1200
 _STRAYS, _NO_CODE = 0.05, 0.1
 # Shifts of half a cell either way that are tried, which share of a cell is too far to be believed, and by how much
 # likelier one far off must be than any other, and than no code at all.
-_SHIFTS, _MOST_SHIFT, _SURE_SHIFT = 13, 0.25, 20.0
+_SHIFTS, _MOST_SHIFT, _SURE_SHIFT = 13, 0.25, 33.0
 # Where much is tried of the largest parts, so many of their blocks are looked at.
 _FEW = 100
 # By how much likelier than no code, or another one, a frame's largest parts must be to show it (natural logarithm), or
 # less likely not to; and how much that may count for other parts: where the rig has been turned a part of the picture
-# may lie elsewhere.
-_SHOWN, _MOST_TRUST = 5.0, 12.0
+# may lie elsewhere. It is plain to see where it is likelier by so much a block.
+_SHOWN, _MOST_TRUST, _PLAIN = 8.0, 20.0, 0.25
 # A factor changes from surface to surface of a part: of parts of more blocks than this, what is left of it in so many
 # blocks and rows of patches around each is taken off.
 _FLATTENED, _AROUND = 100, (5, 3)
@@ -150,11 +150,13 @@ class CodeReader:
         self.cycles = CYCLES if columns is None else min(CYCLES, int(columns.cycles) + 1)
         self.code = code
         #: By how many px the code lies further along the stripe than the calibration says.
-        self.shift_px = 0.0
+        self.shift_px = self._moved_px = 0.0
         self._gain: float | None = None
         self._parts: dict[bytes, PartBlocks] = {}
         #: Logarithm by how much likelier the code lies where it is expected than anywhere else.
         self.trust = 0.0
+        #: Whether the frame shows the code there so clearly that nobody need look for it anywhere else.
+        self.is_plain = False
         #: (N, 4) where each block looks along the stripe: terms of a polynomial of its order, px.
         self.columns, width_px = np.zeros((len(blocks.order), 4), np.float32), 0.0
         if code.cell_px is not None and columns is not None:
@@ -334,10 +336,12 @@ class CodeReader:
         self._gain = float(np.median([gain for _, gain in found]))
         self.shift_px = self._shift_near(parts, [int(offset) for offset, _ in found])
         self._move(0.0 if self.is_far else self.shift_px)
-        more = 0.0
+        more, weighed = 0.0, 0
         for some in largest:
             read = self.read(some)
             more += _log_sum(read.likelihood) - np.log(len(read.likelihood)) - read.no_code(0.0)
+            weighed += min(len(some), _MANY)
+        self.is_plain = more > _PLAIN * weighed
         self.trust = min(max(more, 0.0), _MOST_TRUST)
         if more <= _SHOWN and not self.is_far:  # nor is it known where it lies
             self._move(-self.shift_px)
@@ -371,7 +375,7 @@ class CodeReader:
         """
         if self.code.cell_px is None:
             return None
-        shifts = np.arange(-0.5, 0.5, 0.25 / WORD_CELLS) * self.code.repeats_px
+        shifts, own = np.arange(-0.5, 0.5, 0.25 / WORD_CELLS) * self.code.repeats_px, self._gamma
         totals = np.zeros((2, len(shifts)))
         for total, self._gamma in zip(totals, (GAMMAS.index(1.0), GAMMAS.index(2.0)), strict=True):
             for some in self._largest():
@@ -380,14 +384,17 @@ class CodeReader:
                 by_offset = self._fit(few, each, shifts_px=further).likelihood.reshape(len(offsets), -1)
                 even, other, _ = self._fit_with_even(few, offsets[:0])
                 total += np.logaddexp.reduce(by_offset, axis=0) - np.log(len(offsets)) - np.logaddexp(even, other)
-        total = totals[totals.max(axis=1).argmax()]
+        total, self._gamma = totals[totals.max(axis=1).argmax()], own
         off = np.abs(shifts - shifts[total.argmax()])
         elsewhere = total[np.minimum(off, self.code.repeats_px - off) > self.code.cell_px].max()
-        return _peak(shifts, total) if total.max() - max(elsewhere, 0.0) > _SURE_SHIFT else None
+        if total.max() - max(elsewhere, 0.0) <= _SURE_SHIFT:
+            return None
+        return self._moved_px + _peak(shifts, total)
 
     def _move(self, shift_px: float) -> None:
         """Read the code so many px further along the stripe, from now on."""
         self.columns[:, 0] += shift_px
+        self._moved_px += shift_px
         for part in self._parts.values():
             part.values[Row.COLUMN] += shift_px / self.code.repeats_px
             part.evidence = None

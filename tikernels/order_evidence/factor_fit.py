@@ -35,7 +35,7 @@ from tikernels.unwrapping.tables import add_alone
 #: What a block's contrast deviates by beside the camera's noise (natural logarithm), each twice the one before, and the
 #: one that is fitted with.
 SPREADS = (0.006, 0.012, 0.024, 0.048)
-FITTED = 0.024
+FITTED = 0.016
 # How probably a block shows something else than the code, and how far that then lies off.
 _OTHER, _OTHER_SIGMA = 0.15, 0.2
 # Rounds in which a fit finds out which blocks show something else; they start at the median, which is found by halving.

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from tikernels.order_evidence.factor_fit import EVEN, LEVELS, ROWS, SPREADS, Row, fit_factors, flatten
+from tikernels.order_evidence.factor_fit import EVEN, FITTED, LEVELS, ROWS, SPREADS, Row, fit_factors, flatten
 
 RESPONSES, CYCLES, PLACES = 3, 20, 30
 ANY_OF = np.array([0.05, *np.linspace(-0.1, 0.1, LEVELS)], np.float32)
-NOISE, OTHER, OTHER_SIGMA, FITTED = 0.01, 0.15, 0.2, 0.012
+NOISE, OTHER, OTHER_SIGMA = 0.01, 0.15, 0.2
 
 
 def code(rng):
