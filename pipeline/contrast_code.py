@@ -136,7 +136,7 @@ class ContrastCode:
             seen.append([np.interp(projected, modulations, share) @ (weight / weight.sum()) for share in shares])
         return np.array(seen)
 
-    def levels(self, width_px: float = 0.0) -> npt.NDArray[np.float64]:
+    def levels(self, width_px: float = 0.0, cycles: int = CYCLES) -> npt.NDArray[np.float32]:
         """Return the logarithm of each cycle's contrast, as `measure_contrast` reads it, under each of GAMMAS.
 
         A cycle's neighbours contribute 8 % each.
@@ -145,21 +145,23 @@ class ContrastCode:
         ----------
         width_px : float
             Projector px along the stripe over which it is averaged.
+        cycles : int
+            How many the pattern has.
 
         Returns
         -------
-        (gammas, CYCLES, places) float64
+        (gammas, cycles, places) float32
             Natural logarithm, at places evenly over `repeats_px`, half a place from its start on.
         """
-        return _averaged(self, max(1, round(width_px / self.repeats_px * self._levels.shape[-1])))
+        return _averaged(self, max(1, round(width_px / self.repeats_px * self._levels.shape[-1])), cycles)
 
 
 @lru_cache(maxsize=4)
-def _averaged(code: ContrastCode, width: int) -> npt.NDArray[np.float64]:
-    """Return a code's levels, averaged over so many places."""
-    levels = code._levels
+def _averaged(code: ContrastCode, width: int, cycles: int) -> npt.NDArray[np.float32]:
+    """Return the levels of a code's first cycles, averaged over so many places."""
+    levels = code._levels[:, :, :cycles]
     if width > 1:
         away = np.abs(np.fft.fftfreq(levels.shape[-1], 1 / levels.shape[-1]))
         kernel = np.clip((width + 1) / 2 - away, 0, 1) / width  # as far to either side: half a place for an even one
         levels = np.fft.irfft(np.fft.rfft(levels) * np.fft.rfft(kernel), levels.shape[-1])
-    return np.asarray(np.log(levels[:, 0] / levels[:, 1]))
+    return np.log(levels[:, 0] / levels[:, 1]).astype(np.float32)

@@ -115,15 +115,19 @@ if TYPE_CHECKING:
     vec2: TypeAlias = Any
     vec3: TypeAlias = Any
     vec4: TypeAlias = Any
+    vec5: TypeAlias = Any
     vec6: TypeAlias = Any
     vec8: TypeAlias = Any
     vec16: TypeAlias = Any
     vec21: TypeAlias = Any
+    vec32: TypeAlias = Any
     Vec16Array1: TypeAlias = Any
     Vec16Array2: TypeAlias = Any
     ivec2: TypeAlias = Any
     ivec4: TypeAlias = Any
     mat3: TypeAlias = Any
+    mat4: TypeAlias = Any
+    mat5: TypeAlias = Any
     mat6: TypeAlias = Any
     f32: TypeAlias = Any
     i32: TypeAlias = Any
@@ -134,10 +138,12 @@ else:
     I32Array1, I32Array2, I32Array3 = (ti.types.ndarray(dtype=ti.i32, ndim=n) for n in (1, 2, 3))
     U8Array2, U8Array3 = (ti.types.ndarray(dtype=ti.u8, ndim=n) for n in (2, 3))
     AnyArray2, AnyArray3 = (ti.types.ndarray(ndim=n) for n in (2, 3))
-    vec2, vec3, vec4, vec6, vec8, vec16, vec21 = (ti.types.vector(n, ti.f32) for n in (2, 3, 4, 6, 8, 16, 21))
+    vec2, vec3, vec4, vec5, vec6, vec8, vec16, vec21, vec32 = (
+        ti.types.vector(n, ti.f32) for n in (2, 3, 4, 5, 6, 8, 16, 21, 32)
+    )
     # A CPU loads and adds all sixteen at once: of an array of numbers it does not know that they lie in a row.
     Vec16Array1, Vec16Array2 = (ti.types.ndarray(dtype=vec16, ndim=n) for n in (1, 2))
     ivec2, ivec4 = (ti.types.vector(n, ti.i32) for n in (2, 4))
-    mat3, mat6 = (ti.types.matrix(n, n, ti.f32) for n in (3, 6))
+    mat3, mat4, mat5, mat6 = (ti.types.matrix(n, n, ti.f32) for n in (3, 4, 5, 6))
     f32, i32, u1 = ti.f32, ti.i32, ti.u1
     Static = ti.template()  # known when the kernel is compiled

@@ -11,7 +11,7 @@ wall three quarters, and as much is right.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -97,8 +97,7 @@ class _LevelCosts:
 
     def _fitted(self, own: Integers, lacks: int) -> tuple[Factor, float]:
         """Fit a part's factor to its blocks, and return by how much they scatter about it."""
-        _, factors = self._reader.fit(own, np.array([lacks]))
-        factor = replace(factors, terms=factors.terms[:, 0])
+        factor = self._reader.fit(own, int(lacks))
         departs, _ = self._departs(factor, own, np.full(len(own), lacks))
         return factor, max(robust_sigma(departs), _MIN_SIGMA)
 

@@ -73,40 +73,41 @@ def read_blocks(sums: npt.NDArray[np.float32], graph: PatchGraph, width: int, no
     noise : float
         Standard deviation of a channel, levels.
     """
-    patch, slot, block = np.nonzero(sums[..., TOTAL] > 0)
-    values = sums[patch, slot, block].astype(np.float64)
-    order = graph.offset[patch].astype(np.int64) + slot - ORDER_SLOTS // 2
-    root, first = graph.root[patch].astype(np.int64), graph.first[patch]
-    column, row = (first % width // CELL_WIDTH * BLOCKS + block).astype(np.int64), first // width // CELL_HEIGHT
-    # A cycle that a cell's border cuts is put together again. Sorting a single number is quick.
-    least, orders, rows = order.min(initial=0), np.ptp(order) + 1 if len(order) else 1, row.max(initial=0) + 1
-    cycle = (root * (column.max(initial=0) + 1) + column) * orders + order - least
-    sort = np.argsort(cycle * rows + row, kind="stable")
-    patch, order, root, cycle = patch[sort], order[sort], root[sort], cycle[sort]
-    column, row, values = column[sort], row[sort], values[sort]
-    fresh = np.ones(len(patch), np.bool_)
-    fresh[1:] = (np.diff(cycle) != 0) | (np.diff(row) > 1)
+    piece = np.flatnonzero(sums[..., TOTAL] > 0)
+    patch = piece // (ORDER_SLOTS * BLOCKS)
+    slot, block = piece // BLOCKS % ORDER_SLOTS, piece % BLOCKS
+    row, column = graph.first // width // CELL_HEIGHT, graph.first % width // CELL_WIDTH * BLOCKS
+    # A cycle that a cell's border cuts is put together again: numbers of its pieces, one a row, follow each other.
+    least, rows = graph.offset.min(initial=0), row.max(initial=0) + 2
+    orders = graph.offset.max(initial=0) - least + ORDER_SLOTS
+    number = graph.root.astype(np.int64) * (column.max(initial=0) + BLOCKS) + column
+    number = ((number * orders + graph.offset - least) * rows + row)[patch] + (block * orders + slot) * rows
+    sort = np.argsort(number, kind="stable")
+    fresh = np.diff(number[sort], prepend=-2) > 1
     start, of = np.flatnonzero(fresh), np.cumsum(fresh) - 1
+    first = sort[start]
+    root, order = graph.root[patch[first]].astype(np.int64), graph.offset[patch[first]] + slot[first] - ORDER_SLOTS // 2
+    column, patch = column[patch[first]] + block[first], patch[sort]
+    values = sums.reshape(-1, SUMS)[piece[sort]].astype(np.float64)
     total = np.add.reduceat(values, start, axis=0) if len(start) else np.zeros((0, SUMS))
-    middle = np.bincount(of, values[:, TOTAL] * row, len(start))
+    middle = np.bincount(of, values[:, TOTAL] * row[patch], len(start))
     weight = total[:, TOTAL]
     shown = np.minimum(total[:, MODULATION], total[:, BACKGROUND]) > 0
     mean = total / weight[:, None]
     contrast = np.log(np.where(shown, total[:, MODULATION], 1.0) / np.where(shown, total[:, BACKGROUND], 1.0))
     contrast -= mean[:, [COSINE, SINE]] @ _ripple(values, of, mean, contrast)
-    full = _full_weight(weight, root[start], order[start], column[start])
+    full = _full_weight(weight, root, order, column)
     contrast += _BLUR / full**2
     shown &= (weight >= _MIN_WEIGHT) & (weight > _MIN_SHARE * full)
     variance = (_OF_MODULATION / mean[:, MODULATION] ** 2 + _OF_BACKGROUND / mean[:, BACKGROUND] ** 2)[shown]
     variance *= noise**2 / (_COUNTED * weight[shown])
-    place = np.stack([CELL_HEIGHT * (middle / weight + 0.5), BLOCK_WIDTH * (column[start] + 0.5)], axis=1) - 0.5
+    place = np.stack([CELL_HEIGHT * (middle / weight + 0.5), BLOCK_WIDTH * (column + 0.5)], axis=1) - 0.5
     brightness = (mean[:, MODULATION] + mean[:, BACKGROUND])[shown]
     seen = contrast[shown], variance, brightness, mean[shown, PHASE] / (2 * np.pi)
     number = np.where(shown, np.cumsum(shown) - 1, -1)[of]
     held = number >= 0
     share = values[held, TOTAL] / weight[of[held]]
-    start = start[shown]
-    return Blocks(root[start], order[start], place[shown], *seen, number[held], patch[held], share)
+    return Blocks(root[shown], order[shown], place[shown], *seen, number[held], patch[held], share)
 
 
 def _ripple(values: FloatArray, of: Integers, mean: FloatArray, contrast: FloatArray) -> FloatArray:
@@ -124,7 +125,7 @@ def _ripple(values: FloatArray, of: Integers, mean: FloatArray, contrast: FloatA
     return np.linalg.solve((waves * weights).T @ waves + _RIPPLE_DOUBT * np.eye(2), (waves * weights).T @ departs)
 
 
-def _full_weight(weight: FloatArray, root: Integers, order: Integers, column: Integers) -> FloatArray:
+def _full_weight(weight: FloatArray, root: Integers, order: Integers, column: npt.NDArray[np.integer]) -> FloatArray:
     """Return what each block would weigh if its cycle were whole (N,): as the longest of those around it does."""
     if len(weight) == 0:
         return np.zeros(0)

@@ -8,7 +8,6 @@ the edges of a surface does. The spread is not known, and integrated over. `docs
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -18,21 +17,15 @@ from pipeline.orders.code_blocks import Blocks
 from pipeline.orders.posterior import NOTHING_KNOWN, Integers, Posterior
 from pipeline.orders.stripe_columns import StripeColumns, column_at
 from tikernels.order_evidence.contrast_reading import BLOCK_WIDTH
+from tikernels.order_evidence.factor_fit import EVEN, FITTED, LEVELS, ROWS, Fitted, Row, fit_factors, flatten
 from tikernels.unwrapping.tables import CELL_HEIGHT
 
-# What a block's contrast deviates by beside the camera's noise (natural logarithm), and the one that is fitted with.
-SPREADS = np.array([0.006, 0.012, 0.024, 0.048])
-_FITTED = 0.012
-# How probably a block shows something else than the code, and how far that then lies off.
-_OTHER, _OTHER_SIGMA = 0.15, 0.2
-# Blocks side by side deviate alike: each counts as this many. Those of a cycle with one symbol do so all along, by what
-# is not known of the response: they count as this many together.
-_INDEPENDENT, OF_CYCLE = 0.6, 2.0
+# The blocks of a cycle with one symbol deviate alike, by what is not known of the response: they count as this many
+# together, those without noise most.
+OF_CYCLE = 2.0
 # Standard deviations of a part's factor: of its slopes (a px), of ambient light's share, and of its middle, about the
 # frame's once that is known.
 _SLOPE, _AMBIENT, _GAIN, _ANY_GAIN = 5e-4, 0.25, 0.08, 0.5
-# Rounds in which a fit finds out which blocks show something else.
-_ROUNDS = 3
 # A large part's likeliest offsets are found by some of its blocks, and weighed by many.
 _SOME, _LIKELIEST, _MANY = 300, 4, 1200
 # Of a part's blocks, those whose orders may lie outside the pattern at either end; and how probably a part shows no
@@ -40,18 +33,16 @@ _SOME, _LIKELIEST, _MANY = 300, 4, 1200
 _STRAYS, _NO_CODE = 0.05, 0.1
 # Shifts of half a cell either way that are tried, which share of a cell is too far to be believed, and by how much
 # likelier one far off must be than any other, and than no code at all.
-_SHIFTS, _MOST_SHIFT, _SURE_SHIFT = 13, 0.25, 20.0
+_SHIFTS, _MOST_SHIFT, _SURE_SHIFT = 13, 0.25, 33.0
 # Where much is tried of the largest parts, so many of their blocks are looked at.
 _FEW = 100
 # By how much likelier than no code, or another one, a frame's largest parts must be to show it (natural logarithm), or
 # less likely not to; and how much that may count for other parts: where the rig has been turned a part of the picture
-# may lie elsewhere.
-_SHOWN, _MOST_TRUST = 5.0, 12.0
+# may lie elsewhere. It is plain to see where it is likelier by so much a block.
+_SHOWN, _MOST_TRUST, _PLAIN = 8.0, 20.0, 0.25
 # A factor changes from surface to surface of a part: of parts of more blocks than this, what is left of it in so many
-# blocks and rows of patches around each is taken off, at most so much of each block.
-_FLATTENED, _AROUND, _MOST_LOCAL = 100, (5, 3), 0.2
-# Levels that stand for all of a code's.
-_LEVELS = 8
+# blocks and rows of patches around each is taken off.
+_FLATTENED, _AROUND = 100, (5, 3)
 # From so many cycles off its middle on a cycle is cut, and what its neighbours' levels then count, a cycle: half of
 # what they do for the contrast itself, which the levels have softened.
 _OFF, _OF_NEIGHBOURS = 0.02, 0.6
@@ -59,6 +50,8 @@ _OFF, _OF_NEIGHBOURS = 0.02, 0.6
 _NAMED = 3
 # So many of the largest parts tell what all parts of a frame have in common.
 _TELLING = 3
+# Outside every code.
+_NO_ORDER = -1e6
 
 
 @dataclass(frozen=True)
@@ -67,13 +60,13 @@ class Factor:
 
     middle: FloatArray  # (2,) row and column, px
     brightness: float  # levels
-    terms: FloatArray  # (4, ...) at the middle, slopes a row and a column, and by ambient light; one for each offset
+    terms: FloatArray  # (4, ...) at the middle, slopes a row and a column, and by ambient light; usual ones are 1
 
     @staticmethod
     def shape(place: FloatArray, brightness: FloatArray, middle: FloatArray, usual: float) -> FloatArray:
         """Return (n, 4): what a factor is made of, at these places."""
-        darker = np.clip(usual / brightness - 1, -1, 3)
-        return np.column_stack([np.ones(len(place)), place - middle, darker])
+        darker = _AMBIENT * np.clip(usual / brightness - 1, -1, 3)
+        return np.column_stack([np.ones(len(place)), _SLOPE * (place - middle), darker])
 
     def at(self, place: FloatArray, brightness: FloatArray) -> FloatArray:
         """Return the factor's logarithm (n, ...) at places (n, 2) that are so bright."""
@@ -88,7 +81,7 @@ class PartEvidence:
     likelihood: FloatArray  # (n,) logarithm, of that offset and those that follow
     even: float  # logarithm, if all blocks show the same level
     other: float  # logarithm, if each block, or cycle, shows a level of its own
-    gain: float  # the factor's logarithm in its middle, at the likeliest offset
+    terms: FloatArray  # (4, n) of the factor at each offset
 
     @property
     def best(self) -> int:
@@ -124,6 +117,21 @@ class PartEvidence:
         return Posterior(self.first, probability / probability.sum())
 
 
+_UNREAD = PartEvidence(0, np.zeros(0), 0.0, 0.0, np.zeros((4, 0)))
+
+
+@dataclass(eq=False)
+class PartBlocks:
+    """A part's blocks, as fits read them."""
+
+    values: npt.NDArray[np.float32]  # (ROWS, n) see `Row`
+    cells: npt.NDArray[np.int32]  # (2, n) row of patches, and column of blocks, from 0
+    offsets: Integers  # at which the pattern has their orders
+    middle: FloatArray  # (2,) row and column, px
+    brightness: float  # usual, levels
+    evidence: PartEvidence | None = None
+
+
 class CodeReader:
     """Reads the code in the blocks of a frame.
 
@@ -140,171 +148,164 @@ class CodeReader:
     def __init__(self, blocks: Blocks, code: ContrastCode, columns: StripeColumns | None) -> None:
         self.blocks = blocks
         self.cycles = CYCLES if columns is None else min(CYCLES, int(columns.cycles) + 1)
-        self.code, self._gamma = code, GAMMAS.index(2.0)
+        self.code = code
         #: By how many px the code lies further along the stripe than the calibration says.
-        self.shift_px = 0.0
+        self.shift_px = self._moved_px = 0.0
         self._gain: float | None = None
-        self._evidence: dict[bytes, PartEvidence] = {}
+        self._parts: dict[bytes, PartBlocks] = {}
         #: Logarithm by how much likelier the code lies where it is expected than anywhere else.
         self.trust = 0.0
+        #: Whether the frame shows the code there so clearly that nobody need look for it anywhere else.
+        self.is_plain = False
         #: (N, 4) where each block looks along the stripe: terms of a polynomial of its order, px.
         self.columns, width_px = np.zeros((len(blocks.order), 4), np.float32), 0.0
         if code.cell_px is not None and columns is not None:
             self.columns, width_px = columns.terms(blocks.place), columns.block_px
         #: (gammas, cycles, places)
-        self.levels = code.levels(width_px)[:, : self.cycles]
+        self.levels = code.levels(width_px, self.cycles)
+        self._gamma = GAMMAS.index(2.0)
+        self._any_of: dict[int, npt.NDArray[np.float32]] = {}  # by response; see `fit_factors`
 
     @property
-    def levels_now(self) -> FloatArray:
+    def levels_now(self) -> npt.NDArray[np.float32]:
         """(cycles, places): the code's levels under the frame's response."""
         return np.asarray(self.levels[self._gamma])
 
-    def expected(
-        self,
-        which: Integers,
-        orders: Integers,
-        shifts_px: FloatArray | float = 0.0,
-        gammas: Integers | None = None,
-    ) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
-        """Return (n, ...) the code's levels where blocks (n,) have orders (n, ...), and whether the code has those.
-
-        As if the code lay so many px further along the stripe, under responses of these numbers.
-        """
+    def expected(self, which: Integers, orders: Integers) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+        """Return (n,) the code's levels where blocks (n,) have orders (n,), and whether the code has those."""
         inside = (orders >= 0) & (orders < self.cycles)
-        orders, response = np.clip(orders, 0, self.cycles - 1), self._gamma if gammas is None else gammas
-        along = column_at(self.columns[which], orders) + shifts_px
-        inside &= np.isfinite(along)  # some rays meet the pattern nowhere
-        places = self.code.place_at(np.nan_to_num(along))
-        expected = self.levels[response, orders, places]
-        # Of a cycle of which one side is seen, the neighbour on that side shows more.
-        off = self.blocks.off[which]
-        cut = np.flatnonzero(np.abs(off) > _OFF)
-        if len(cut):
-            orders, places = orders[cut], places[cut]
-            more, less = np.minimum(orders + 1, self.cycles - 1), np.maximum(orders - 1, 0)
-            change = self.levels[response, more, places] - self.levels[response, less, places]
-            expected[cut] += _OF_NEIGHBOURS * off[cut].reshape(-1, *(1,) * (orders.ndim - 1)) * change
-        return expected, inside
+        orders = np.clip(orders, 0, self.cycles - 1)
+        places, levels = np.zeros(len(which), np.int64), self.levels_now
+        if self.code.cell_px is not None:
+            along = column_at(self.columns[which], orders)
+            inside &= np.isfinite(along)  # some rays meet the pattern nowhere
+            places = self.code.place_at(np.nan_to_num(along))
+        change = levels[np.minimum(orders + 1, self.cycles - 1), places] - levels[np.maximum(orders - 1, 0), places]
+        return np.asarray(levels[orders, places] + _of_neighbours(self.blocks.off[which]) * change, np.float64), inside
 
-    def fit(
-        self,
-        which: Integers,
-        offsets: Integers,
-        *,
-        shifts_px: FloatArray | float = 0.0,
-        gammas: Integers | None = None,
-        contrast: FloatArray | None = None,
-        no_code: bool = False,
-    ) -> tuple[FloatArray, Factor]:
-        """Fit the factor of a part with these blocks (n,) at every offset (K,).
+    def _part(self, which: Integers) -> PartBlocks:
+        """Return a part with these blocks (n,)."""
+        key = self.blocks.order[which].tobytes() + self.blocks.contrast[which].tobytes()
+        if key not in self._parts:
+            self._parts[key] = self._new_part(which)
+        return self._parts[key]
 
-        Parameters
-        ----------
-        which, offsets
-            What is looked at.
-        shifts_px : (K,) float
-            By how many px the code lies further along the stripe; one for each offset.
-        gammas : (K,) int, optional
-            Numbers of responses, if not the frame's.
-        contrast : (n,) float, optional
-            The blocks' contrasts, if not as they were seen.
-        no_code : bool
-            Return as well how likely the blocks are if all have the same level, and if each, or each cycle, has one of
-            the code's by itself.
-
-        Returns
-        -------
-        (K,) float64
-            Logarithm of the likelihood.
-        Factor
-            At each offset.
-        """
-        blocks = self.blocks
-        contrast = blocks.contrast[which] if contrast is None else contrast
-        expected, inside = self.expected(which, blocks.order[which][:, None] + offsets, shifts_px, gammas)
-        if no_code:
-            expected = np.column_stack([expected, np.full(len(which), self.levels[self._gamma].mean())])
-            inside = np.column_stack([inside, np.ones(len(which), np.bool_)])
+    def _new_part(self, which: Integers) -> PartBlocks:
+        blocks, columns = self.blocks, self.columns[which]
         place, brightness = blocks.place[which], blocks.brightness[which]
         middle, usual = place.mean(axis=0), float(np.median(brightness))
-        shape = Factor.shape(place, brightness, middle, usual)
-        remains, variance = contrast[:, None] - expected, blocks.variance[which]
-        counts = self._counts(which)
-        likelihood, terms = fit_levels(remains, inside, shape, variance, counts, self._gain)
-        if no_code:
-            levels = self.levels[self._gamma, ::3, ::5]
-            any_of = np.quantile(levels - levels.mean(), (np.arange(_LEVELS) + 0.5) / _LEVELS)
-            departs = remains[:, -1] - shape @ terms[:, -1]
-            shown = densities(departs[:, None] - any_of, variance) ** counts[:, None]
-            if self.code.cell_px is None:
-                sort = np.argsort(blocks.order[which], kind="stable")
-                starts = np.flatnonzero(np.diff(blocks.order[which][sort], prepend=np.iinfo(np.int64).min))
-                shown = np.multiply.reduceat(shown[:, sort], starts, axis=1)
-            with np.errstate(divide="ignore"):
-                other = _mean_of(np.log(shown.mean(axis=2)).sum(axis=1))
-            likelihood = np.append(likelihood, other)
-        return likelihood, Factor(middle, usual, terms)
+        values = np.empty((ROWS, len(which)), np.float32)
+        values[Row.LEVEL], values[Row.VARIANCE] = blocks.contrast[which], blocks.variance[which]
+        values[Row.DOWN : Row.DARKER + 1] = Factor.shape(place, brightness, middle, usual).T[1:]
+        values[Row.OFF] = _of_neighbours(blocks.off[which])
+        values[Row.ORDER] = np.where(np.isfinite(columns[:, 0]), blocks.order[which], _NO_ORDER)
+        values[Row.COLUMN :] = np.nan_to_num(columns).T / np.float32(self.code.repeats_px)
+        cells = (place / (CELL_HEIGHT, BLOCK_WIDTH)).T.astype(np.int32, order="C")
+        return PartBlocks(values, cells - cells.min(axis=1, keepdims=True), self.offsets(which), middle, usual)
 
-    def _counts(self, which: Integers) -> FloatArray:
-        """Return as how many each of these blocks (n,) of a part counts."""
+    def fit(self, which: Integers, offset: int) -> Factor:
+        """Fit the factor of a part with these blocks (n,) at an offset."""
+        part = self._part(which)
+        terms = self._fit(part.values, np.array([offset])).terms[:, 0]
+        return Factor(part.middle, part.brightness, terms)
+
+    def _fit(
+        self,
+        values: npt.NDArray[np.float32],
+        offsets: Integers,
+        responses: Integers | None = None,
+        shifts_px: FloatArray | float = 0.0,
+        level: npt.NDArray[np.float32] | None = None,
+    ) -> Fitted:
+        """Fit the factor of a part's blocks (ROWS, n) at offsets (K,).
+
+        As if the code lay so many px (K,) further along the stripe, and under responses of these numbers (K,), if not
+        the frame's; and as if the blocks' contrasts were these levels (K, n), if not as they were seen.
+        """
+        values[Row.COUNTS] = self._counts(values)
+        if self._gamma not in self._any_of:
+            levels = np.sort(self.levels_now[::3, ::5], axis=None)
+            some = np.interp((np.arange(LEVELS) + 0.5) / LEVELS, np.linspace(0, 1, len(levels)), levels - levels.mean())
+            self._any_of[self._gamma] = np.append(self.levels_now.mean(), some).astype(np.float32)
+        return fit_factors(
+            values,
+            self.levels,
+            self._any_of[self._gamma],
+            offsets,
+            self._gamma if responses is None else responses,
+            shifts_px / self.code.repeats_px,
+            (self._gain, _ANY_GAIN if self._gain is None else _GAIN),
+            by_cycle=self.code.cell_px is None,
+            level=level,
+        )
+
+    def _counts(self, values: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """Return as how many each of a part's blocks (ROWS, n) counts."""
         if self.code.cell_px is not None:
-            return np.full(len(which), _INDEPENDENT)
-        # Of a cycle's blocks those without noise count most.
-        precision = 1 / (self.blocks.variance[which] + _FITTED**2)
-        _, cycle = np.unique(self.blocks.order[which], return_inverse=True)
-        return np.minimum(_INDEPENDENT, OF_CYCLE * precision / np.bincount(cycle, precision)[cycle])
+            return np.ones(values.shape[1], np.float32)
+        precision = 1 / (values[Row.VARIANCE] + FITTED**2)
+        cycle = (values[Row.ORDER] - values[Row.ORDER].min()).astype(np.int64)
+        return np.asarray(np.minimum(1.0, OF_CYCLE * precision / np.bincount(cycle, precision)[cycle]))
 
     def read(self, which: Integers) -> PartEvidence:
         """Return what the blocks (n,) of a part say of its offsets."""
-        key = self.blocks.order[which].tobytes() + self.blocks.place[which].tobytes()
-        if key not in self._evidence:
-            self._evidence[key] = self._read(which)
-        return self._evidence[key]
+        if len(which) == 0:
+            return _UNREAD
+        part = self._part(which)
+        if part.evidence is None:
+            part.evidence = self._read(part)
+        return part.evidence
 
-    def _read(self, which: Integers) -> PartEvidence:
-        offsets = self.offsets(which)
+    def _read(self, part: PartBlocks) -> PartEvidence:
+        offsets = part.offsets
         if len(offsets) == 0:
-            return PartEvidence(0, np.zeros(0), 0.0, 0.0, 0.0)
-        shown, factor = self.fit(_thinned(which, _SOME), offsets, no_code=True)
-        likelihood, gains = shown[:-2], factor.terms[0, :-1]
-        if len(which) > _FLATTENED:
-            likely, many = np.argsort(likelihood)[-_LIKELIEST:], _thinned(np.arange(len(which)), _MANY)
-            found, flat = np.empty(len(likely)), []
-            for n, k in enumerate(likely):  # each as if what is left of the factor were so by its offset
-                flat.append(self.flattened(which, int(offsets[k]), _AROUND)[many])
-                found[n : n + 1], factor = self.fit(which[many], offsets[k : k + 1], contrast=flat[n])
-                gains[k] = factor.terms[0, 0]
-            best = int(found.argmax())
-            shown, _ = self.fit(which[many], offsets[likely[best : best + 1]], contrast=flat[best], no_code=True)
+            return _UNREAD
+        shown = _thinned(part.values, _SOME)
+        if part.values.shape[1] > _FLATTENED:
+            likelihood, _, terms = self._fit(shown, offsets)
+            likely, shown = np.argsort(likelihood)[-_LIKELIEST:], _thinned(part.values, _MANY)
+            # Each as if what is left of the factor were so by its offset.
+            flat = self._flat(part, offsets[likely], terms[:, likely], _AROUND, _step(part.values, _MANY))
+            found = self._fit(shown, offsets[likely], level=flat).likelihood
+            shown[Row.LEVEL] = flat[found.argmax()]
             # The others were less likely than any of these.
             likelihood = np.full(len(offsets), found.min())
             likelihood[likely] = found
-        even, other = map(float, shown[-2:])
-        return PartEvidence(int(offsets[0]), likelihood, even, other, float(gains[likelihood.argmax()]))
+            without = self._fit_with_even(shown, offsets[:0])
+        else:
+            without = self._fit_with_even(shown, offsets)
+            likelihood, terms = without.likelihood[:-1], without.terms[:, :-1]
+        even, other = float(without.likelihood[-1]), float(without.other[-1])
+        return PartEvidence(int(offsets[0]), likelihood, even, other, terms)
+
+    def _fit_with_even(self, values: npt.NDArray[np.float32], offsets: Integers) -> Fitted:
+        """Fit the factor of a part's blocks (ROWS, n) at offsets (K,), and last as if they did not show the code."""
+        if self.code.cell_px is None:
+            values = np.take(values, np.argsort(values[Row.ORDER], kind="stable"), axis=1)
+        return self._fit(values, np.append(offsets, 0), np.append(np.full(len(offsets), self._gamma), EVEN))
 
     def flattened(self, which: Integers, offset: int, around: tuple[int, int]) -> FloatArray:
         """Return the contrasts (n,) of a part's blocks as if its factor were the same all over.
 
         What so many blocks and rows of patches around each are off the code at this offset is taken off, too.
         """
-        blocks = self.blocks
-        _, factor = self.fit(_thinned(which, _SOME), np.array([offset]))
-        usual = float(factor.terms[0, 0])
-        flat = blocks.contrast[which] - factor.at(blocks.place[which], blocks.brightness[which])[:, 0] + usual
-        departs = flat - usual - self.expected(which, blocks.order[which] + offset)[0]
-        departs = np.clip(departs, -_MOST_LOCAL, _MOST_LOCAL)
-        row, column = (blocks.place[which] / (CELL_HEIGHT, BLOCK_WIDTH)).astype(int).T
-        row, column = row - row.min(), column - column.min()
-        shape = int(row.max()) + 1, int(column.max()) + 1
-        sums = [np.bincount(row * shape[1] + column, weights, np.prod(shape)) for weights in (departs, None)]
-        total, count = (cv2.blur(plane.reshape(shape).astype(np.float32), around, borderType=0) for plane in sums)
-        return np.asarray(flat - (total / np.maximum(count, 1e-6))[row, column])
+        read = self.read(which)
+        terms = read.terms[:, offset - read.first, None]
+        return np.asarray(self._flat(self._part(which), np.array([offset]), terms, around, 1)[0], np.float64)
+
+    def _flat(
+        self, part: PartBlocks, offsets: Integers, terms: FloatArray, around: tuple[int, int], step: int
+    ) -> npt.NDArray[np.float32]:
+        """Return the same at offsets (K,) with these terms (4, K) of the factor: (K, m), of so many blocks one."""
+        reach = around[1] // 2, around[0] // 2
+        return flatten(part.values, part.cells, offsets, terms, self.levels, self._gamma, reach, step)
 
     def offsets(self, which: Integers) -> Integers:
         """Return the offsets at which the pattern has the orders of these blocks, but for some strays."""
         if len(which) == 0:
             return np.zeros(0, np.int64)
-        low, high = np.quantile(self.blocks.order[which], [_STRAYS, 1 - _STRAYS], method="nearest")
+        ends = [round(share * (len(which) - 1)) for share in (_STRAYS, 1 - _STRAYS)]
+        low, high = np.partition(self.blocks.order[which], ends)[ends]
         return np.arange(-low, self.cycles - high)
 
     def read_all(self, parts: Integers) -> list[PartEvidence]:
@@ -322,22 +323,25 @@ class CodeReader:
         if not largest:
             return False
         # The likeliest offsets hardly depend on the response, nor on a small shift.
-        gammas, tried = np.repeat(np.arange(len(GAMMAS)), _NAMED), []
-        for some in largest:
-            few, offsets = _thinned(some, _FEW), self.offsets(some)
-            likeliest = np.resize(offsets[np.argsort(self.fit(few, offsets)[0])[-_NAMED:]], _NAMED)
+        gammas, tried, parts = np.repeat(np.arange(len(GAMMAS)), _NAMED), [], [self._part(some) for some in largest]
+        for part in parts:
+            few = _thinned(part.values, _FEW)
+            likelihood = self._fit(few, part.offsets).likelihood
+            likeliest = np.resize(part.offsets[np.argsort(likelihood)[-_NAMED:]], _NAMED)
             named = np.tile(likeliest, len(GAMMAS))
-            likelihood, factor = self.fit(few, named, gammas=gammas)
-            tried.append(np.stack([likelihood, named, factor.terms[0]]).reshape(3, len(GAMMAS), _NAMED))
+            likelihood, _, terms = self._fit(few, named, responses=gammas)
+            tried.append(np.stack([likelihood, named, terms[0]]).reshape(3, len(GAMMAS), _NAMED))
         self._gamma = int(sum(likelihood.max(axis=1) for likelihood, _, _ in tried).argmax())
         found = [each[1:, self._gamma, each[0, self._gamma].argmax()] for each in tried]
         self._gain = float(np.median([gain for _, gain in found]))
-        self.shift_px = self._shift_near(largest, [int(offset) for offset, _ in found])
+        self.shift_px = self._shift_near(parts, [int(offset) for offset, _ in found])
         self._move(0.0 if self.is_far else self.shift_px)
-        more = 0.0
+        more, weighed = 0.0, 0
         for some in largest:
-            part = self.read(some)
-            more += _log_sum(part.likelihood) - np.log(len(part.likelihood)) - part.no_code(0.0)
+            read = self.read(some)
+            more += _log_sum(read.likelihood) - np.log(len(read.likelihood)) - read.no_code(0.0)
+            weighed += min(len(some), _MANY)
+        self.is_plain = more > _PLAIN * weighed
         self.trust = min(max(more, 0.0), _MOST_TRUST)
         if more <= _SHOWN and not self.is_far:  # nor is it known where it lies
             self._move(-self.shift_px)
@@ -350,13 +354,13 @@ class CodeReader:
         largest = [np.flatnonzero(self.blocks.root == root) for root in roots[np.argsort(counts)[-_TELLING:]]]
         return [some for some in largest if len(self.offsets(some))]
 
-    def _shift_near(self, largest: list[Integers], offsets: list[int]) -> float:
+    def _shift_near(self, parts: list[PartBlocks], offsets: list[int]) -> float:
         """Return by how many px the code lies further along the stripe, at most half a cell, by the largest parts."""
         if self.code.cell_px is None:
             return 0.0
         shifts, total = np.linspace(-0.5, 0.5, _SHIFTS) * self.code.cell_px, np.zeros(_SHIFTS)
-        for some, offset in zip(largest, offsets, strict=True):
-            total += self.fit(_thinned(some, _SOME), np.full(_SHIFTS, offset), shifts_px=shifts)[0]
+        for part, offset in zip(parts, offsets, strict=True):
+            total += self._fit(_thinned(part.values, _SOME), np.full(_SHIFTS, offset), shifts_px=shifts).likelihood
         return _peak(shifts, total)
 
     @property
@@ -371,114 +375,52 @@ class CodeReader:
         """
         if self.code.cell_px is None:
             return None
-        shifts = np.arange(-0.5, 0.5, 0.25 / WORD_CELLS) * self.code.repeats_px
+        shifts, own = np.arange(-0.5, 0.5, 0.25 / WORD_CELLS) * self.code.repeats_px, self._gamma
         totals = np.zeros((2, len(shifts)))
         for total, self._gamma in zip(totals, (GAMMAS.index(1.0), GAMMAS.index(2.0)), strict=True):
             for some in self._largest():
-                offsets, few = self.offsets(some), _thinned(some, _FEW)
+                few, offsets = _thinned(self._part(some).values, _FEW), self.offsets(some)
                 each, further = np.repeat(offsets, len(shifts)), np.tile(shifts, len(offsets))
-                likelihood, _ = self.fit(few, each, shifts_px=further, no_code=True)
-                by_offset = likelihood[:-2].reshape(len(offsets), -1)
-                total += np.logaddexp.reduce(by_offset, axis=0) - np.log(len(offsets)) - np.logaddexp(*likelihood[-2:])
-        total = totals[totals.max(axis=1).argmax()]
+                by_offset = self._fit(few, each, shifts_px=further).likelihood.reshape(len(offsets), -1)
+                even, other, _ = self._fit_with_even(few, offsets[:0])
+                total += np.logaddexp.reduce(by_offset, axis=0) - np.log(len(offsets)) - np.logaddexp(even, other)
+        total, self._gamma = totals[totals.max(axis=1).argmax()], own
         off = np.abs(shifts - shifts[total.argmax()])
         elsewhere = total[np.minimum(off, self.code.repeats_px - off) > self.code.cell_px].max()
-        return _peak(shifts, total) if total.max() - max(elsewhere, 0.0) > _SURE_SHIFT else None
+        if total.max() - max(elsewhere, 0.0) <= _SURE_SHIFT:
+            return None
+        return self._moved_px + _peak(shifts, total)
 
     def _move(self, shift_px: float) -> None:
         """Read the code so many px further along the stripe, from now on."""
         self.columns[:, 0] += shift_px
-        self._evidence.clear()
+        self._moved_px += shift_px
+        for part in self._parts.values():
+            part.values[Row.COLUMN] += shift_px / self.code.repeats_px
+            part.evidence = None
 
     def again(self, other: "CodeReader") -> "CodeReader":
         """Return the reader of other blocks of the frame with what was learnt of it."""
         other._gamma, other._gain, other.trust, other.shift_px = self._gamma, self._gain, self.trust, self.shift_px
         other._move(self.shift_px)
-        other._evidence = self._evidence
+        other._parts = self._parts
         return other
 
 
-def fit_levels(
-    remains: FloatArray,
-    inside: npt.NDArray[np.bool_],
-    terms: FloatArray,
-    variance: FloatArray,
-    counts: FloatArray,
-    gain: float | None,
-) -> tuple[FloatArray, FloatArray]:
-    """Fit a part's factor to what the code leaves of its blocks' contrasts, at each offset.
-
-    Parameters
-    ----------
-    remains : (n, K) float
-        Natural logarithm.
-    inside : (n, K) bool
-        Whether the code has such a cycle.
-    terms : (n, 4) float
-        What the factor is made of.
-    variance : (n,) float
-        Of the contrasts, by noise.
-    counts : (n,) float
-        As how many each block counts.
-    gain : float, optional
-        The usual factor in the frame.
-
-    Returns
-    -------
-    (K,) float64
-        Logarithm of the likelihood.
-    (4, K) float64
-        How much there is of each term.
-    """
-    usual = np.median(remains, axis=0) if gain is None else gain
-    prior = np.diag(np.array([_ANY_GAIN if gain is None else _GAIN, _SLOPE, _SLOPE, _AMBIENT]) ** -2.0)
-    departs = remains - usual
-    pairs = (terms[:, :, None] * terms[:, None]).reshape(len(terms), 16)
-    noise = variance[:, None] + _FITTED**2
-    # From the median on: what shows something else must not pull at the start.
-    fit: FloatArray = np.zeros((4, remains.shape[1]))
-    fit[0] = np.median(departs, axis=0)
-    normal: FloatArray = np.broadcast_to(prior, (remains.shape[1], 4, 4))
-    for _ in range(_ROUNDS):
-        squares = (departs - terms @ fit) ** 2
-        far = noise + _OTHER_SIGMA**2
-        with np.errstate(over="ignore"):
-            odds = _OTHER / (1 - _OTHER) * np.sqrt(noise / far) * np.exp(0.5 * squares * (1 / noise - 1 / far))
-        weights = counts[:, None] * inside / noise / (1 + odds)
-        normal = (weights.T @ pairs).reshape(-1, 4, 4) + prior
-        fit = np.asarray(np.linalg.solve(normal, ((weights * departs).T @ terms)[..., None])[..., 0].T, np.float64)
-    far = np.log(_OTHER / np.sqrt(variance + _OTHER_SIGMA**2))[:, None]
-    shown = counts @ np.where(inside, np.log(densities(departs - terms @ fit, variance)), far)
-    cost = np.einsum("ik,ij,jk->k", fit, prior, fit) + np.linalg.slogdet(normal)[1] - np.linalg.slogdet(prior)[1]
-    fit[0] += usual
-    return np.asarray(_mean_of(shown) - 0.5 * cost), fit
+def _of_neighbours(off: FloatArray) -> FloatArray:
+    """Return which share of its neighbours' difference a cycle shows of which one side is seen."""
+    return np.where(np.abs(off) > _OFF, _OF_NEIGHBOURS * off, 0.0)
 
 
-def densities(departs: FloatArray, variance: FloatArray) -> FloatArray:
-    """Return (spreads, n, K) how usual it is, under each spread, that blocks deviate from the code by so much.
-
-    Parameters
-    ----------
-    departs : (n, K) float
-        Natural logarithm.
-    variance : (n,) float
-        Of the contrasts, by noise.
-    """
-    squares, far = departs**2, variance[:, None] + _OTHER_SIGMA**2
-    near = variance[:, None] + SPREADS[:, None, None] ** 2
-    other = _OTHER * np.exp(-0.5 * squares / far) / np.sqrt(far)
-    return np.asarray((1 - _OTHER) * np.exp(-0.5 * squares / near) / np.sqrt(near) + other)
+def _step(values: npt.NDArray[np.float32], most: int) -> int:
+    """Return of how many of a part's blocks (ROWS, n) one is taken so that there are at most so many."""
+    columns: int = values.shape[1]
+    return -(-columns // most)
 
 
-def _thinned(which: Integers, most: int) -> Integers:
-    """Return at most so many blocks of a part, spread over it."""
-    return which[:: -(-len(which) // most)]
-
-
-def _mean_of(logarithms: FloatArray) -> FloatArray:
-    """Return the logarithm of the mean over the first axis."""
-    top = logarithms.max(axis=0)
-    return np.asarray(top + np.log(np.exp(logarithms - top).mean(axis=0)))
+def _thinned(values: npt.NDArray[np.float32], most: int) -> npt.NDArray[np.float32]:
+    """Return at most so many of a part's blocks (ROWS, n), spread over it."""
+    return values[:, :: _step(values, most)].copy()
 
 
 def _peak(places: FloatArray, values: FloatArray) -> float:

@@ -81,7 +81,9 @@ def find_absolute_orders(
 
     reader = reader_of(graph)
     readable = reader.learn()
-    elsewhere = None if readable and not reader.is_far else reader.shift_anywhere()
+    elsewhere = None if reader.is_plain and not reader.is_far else reader.shift_anywhere()
+    if readable and not reader.is_far and elsewhere is not None and code.cell_px is not None:
+        elsewhere = elsewhere if abs(elsewhere - reader.shift_px) > code.cell_px else None  # it was found here
     if elsewhere is not None or readable is False or reader.is_far:
         return _unread(graph, order_range if elsewhere is None else None, elsewhere)
     roots, main = cut_regions(reader, graph, width, order_range)

@@ -13,8 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.contrast_code import CYCLES, ContrastCode
-from pipeline.orders.stripe_columns import StripeColumns, column_at
-from tikernels.order_evidence.modulation_correction import NODE_PX, TABLED, CodeRipples
+from pipeline.orders.stripe_columns import StripeColumns
+from tikernels.arrays import F32, I32
+from tikernels.launching import constant
+from tikernels.order_evidence.modulation_correction import NODE_PX, TABLED, CodeRipples, measure_bends
 from tikernels.phase.balance_window import SIGMA_ACROSS
 
 # Where the phase bends by more (rad) within a cycle, the surface does.
@@ -26,8 +28,6 @@ _USUAL_SHARES = np.array([0.3, 0.03, 0.3])
 _SLOPE_REACH = 0.2
 # The balance's window is computed to this many cycles on either side.
 _WINDOWS = 4
-# Of the frame's pixels every sixteenth column tells enough, and every fourth row, another one from column to column.
-_EVERY_COLUMN, _EVERY_ROW = 16, 4
 
 
 @cache
@@ -46,13 +46,13 @@ def code_ripples(code: ContrastCode) -> npt.NDArray[np.float32]:
     contrast = (around / (1 - around)).mean(axis=1)
     passed = np.convolve(contrast, weight / weight.sum() * np.sin(2 * np.pi * window), "valid")
     shapes = (deviations, slopes, np.broadcast_to(passed[:, None], slopes.shape))
-    return np.ascontiguousarray(np.stack(shapes, axis=-1), np.float32)
+    return constant(np.ascontiguousarray(np.stack(shapes, axis=-1), np.float32))
 
 
 def measure_ripples(
-    raw: npt.NDArray[np.float32],
-    unwrapped: npt.NDArray[np.float32],
-    region: npt.NDArray[np.int32],
+    raw: F32,
+    unwrapped: F32,
+    region: I32,
     known: npt.NDArray[np.bool_],
     *,
     within: npt.NDArray[np.float32],
@@ -86,39 +86,11 @@ def measure_ripples(
     if code.cell_px is not None and columns is not None:
         nodes = columns.nodes / np.float32(code.repeats_px)
     nothing = CodeRipples(table, within, np.zeros(3, np.float32), nodes)
-    half = max(1, round(period_px / 2))
-    sampled = region[:, ::_EVERY_COLUMN]
-    middle, above, below = sampled[half:-half], sampled[: -2 * half], sampled[2 * half :]
-    inside = (middle > 0) & (middle == above) & (middle == below) & known[middle]
-    inside &= np.add.outer(np.arange(inside.shape[0]), np.arange(inside.shape[1])) % _EVERY_ROW == 0
-    rows, places = np.nonzero(inside)
-    places *= _EVERY_COLUMN
-    if len(rows) == 0:
+    moments = measure_bends(raw, unwrapped, region, known, nothing, max(1, round(period_px / 2)), _MAX_BEND)
+    count, bends, expected = moments[0, 0], moments[2:, 1], moments[2:, 2:]
+    if count == 0:
         return nothing
-    terms = np.zeros((len(rows), 4), np.float32)
-    if code.cell_px is not None and columns is not None:
-        terms = columns.terms(np.column_stack([rows + half, places]))
-    edges = np.linspace(-0.5, 0.5, within.shape[1])
-    seen, shapes = [], []
-    for offset in (0, half, 2 * half):
-        here = rows + offset, places
-        smooth = unwrapped[here].astype(np.float64)
-        # The raw phase, in the smoothed one's cycle.
-        seen.append(smooth + np.remainder(raw[here] - smooth + np.pi, 2 * np.pi) - np.pi)
-        cycles = smooth / (2 * np.pi)
-        place = code.place_at(np.nan_to_num(column_at(terms, cycles)))
-        ripples = table[np.clip(np.rint(cycles * TABLED), 0, len(table) - 1).astype(int), place].T
-        linear, square = (np.interp(cycles, edges, row, period=1) for row in within)
-        shapes.append(np.stack([ripples[0] * (linear + (2 + ripples[0]) * square), *ripples[1:]]))
-    bend = seen[0] - 2 * seen[1] + seen[2]
-    expected = shapes[0] - 2 * shapes[1] + shapes[2]
-    # What the response's correction lacks is known, but for a share; a smooth surface does not bend, and what it bends
-    # has nothing to do with the code.
-    left = bend + expected[0]
-    smooth = np.abs(left) < _MAX_BEND
-    if not smooth.any():
-        return nothing
-    left, expected = left[smooth], expected[:, smooth]
-    doubt = np.mean(left**2) / _USUAL_SHARES**2
-    shares = np.linalg.solve(expected @ expected.T + np.diag(doubt + 1e-12), expected @ left)
+    # A smooth surface does not bend, and what it bends has nothing to do with the code.
+    doubt = moments[1, 1] / count / _USUAL_SHARES**2
+    shares = np.linalg.solve(expected + np.diag(doubt + 1e-12), bends)
     return nothing._replace(shares=(np.array([1.0, 0, 0]) - shares).astype(np.float32))

@@ -283,9 +283,9 @@ class OrderFinder:
         known, corrected = orders.known, False
         if known.any():
             ripples = measure_ripples(
-                runtime.to_host(raw),
-                runtime.to_host(out.unwrapped),
-                runtime.to_host(out.region),
+                raw,
+                out.unwrapped,
+                out.region,
                 known,
                 within=modulation_tables(seen.correction),
                 period_px=seen.period_px,

@@ -213,7 +213,7 @@ def flat_shapes(original: Original) -> Any:
 
 def unflattened(original: Original) -> Any:
     """Leave the contrasts of a part's blocks as they were seen."""
-    return lambda self, which, offset, around: self.blocks.contrast[which]
+    return lambda self, part, offsets, terms, around, step: np.repeat(part.values[:1, ::step], len(offsets), axis=0)
 
 
 def no_ripples(original: Original) -> Any:
@@ -442,10 +442,10 @@ _ALL = (
     Mechanism("part's factor", "a part's contrasts have a plane and a share of ambient light in common",
         "pile-small-coded", {"code_evidence:Factor.shape": flat_shapes}, "code_evidence:Factor.shape"),
     Mechanism("flattening", "what surfaces of a part have of their own is taken off", "",
-        {"code_evidence:CodeReader.flattened": unflattened}, "code_evidence:CodeReader.flattened",
+        {"code_evidence:CodeReader._flat": unflattened}, "code_evidence:CodeReader.flattened factor_fit:flatten",
         promise="regions that have joined surfaces"),
     Mechanism("cycles count once", "what is not known of the response all blocks of a cycle share", "pile-small-coded",
-        {"code_evidence:_OF_CYCLE": gives(1e9)}, "code_evidence:CodeReader._counts",
+        {"code_evidence:OF_CYCLE": gives(1e9)}, "code_evidence:CodeReader._counts",
         promise="of 192 strips of two to four cycles 18 were absolute and wrong without it"),
     Mechanism("code's shift", "the second code is read where it lies, up to a quarter of a cell off", "",
         {"code_evidence:CodeReader._shift_near": gives(0.0)},

@@ -11,7 +11,20 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import checks
-from tikernels._taichi import F32Array1, F32Array2, F32Array3, I32Array1, I32Array2, f32, i32, ti, vec3, vec4
+from tikernels._taichi import (
+    F32Array1,
+    F32Array2,
+    F32Array3,
+    I32Array1,
+    I32Array2,
+    f32,
+    i32,
+    mat5,
+    ti,
+    vec3,
+    vec4,
+    vec5,
+)
 from tikernels.arrays import F32, I32
 from tikernels.launching import kernel
 from tikernels.phase.phase_vector import PI
@@ -21,6 +34,8 @@ from tikernels.strips import STRIP, strip_at, strip_count
 TABLED = 20
 #: Terms of the columns along the stripe are known at nodes this many px apart, as a strip is long.
 NODE_PX = STRIP
+#: Of the frame's pixels every sixteenth column tells enough, and every fourth row, another one from column to column.
+EVERY_COLUMN, EVERY_ROW = 16, 4
 
 
 class CodeRipples(NamedTuple):
@@ -71,6 +86,57 @@ def node_terms(columns: F32Array3, row: i32, down: f32, column: i32) -> vec4:
     return terms
 
 
+@ti.func
+def bending_at(table: F32Array3, within: F32Array2, terms: vec4, unwrapped: f32) -> vec3:
+    """Return how much there is of each ripple at an absolute phase, rad, of a column with these terms."""
+    cycles = unwrapped * (0.5 / PI)
+    along = terms[0] + cycles * (terms[1] + cycles * (terms[2] + cycles * terms[3]))
+    ripples = ripples_at(table, cycles, along)
+    share = cycles + 0.5 - ti.floor(cycles + 0.5)
+    of_contrast = tabled(within, 0, share) + (2.0 + ripples[0]) * tabled(within, 1, share)
+    return vec3(ripples[0] * of_contrast, ripples[1], ripples[2])
+
+
+@kernel
+def measure_bends_kernel(
+    phase: F32Array2,  # (H, W) rad
+    unwrapped: F32Array2,  # (H, W) rad
+    region: I32Array2,  # (H, W) region's number from 1; 0 outside
+    absolute: I32Array1,  # (regions + 1,) 1 where the orders are absolute
+    table: F32Array3,  # (N, places, 3)
+    within: F32Array2,  # (2, bins + 1) rad
+    columns: F32Array3,  # (h, w, 4)
+    half: i32,  # of a cycle, rows
+    most: f32,  # by how much a surface that is even bends at most, rad
+    out_moments: F32Array3,  # (H, 5, 5) of 1, what the phase bends, and the ripples
+):
+    """Sum up how the phase bends, and the ripples, from half a cycle above a pixel to half a cycle below it."""
+    height, width = phase.shape[0], phase.shape[1]
+    for row in range(height):
+        moments = mat5(0.0)
+        for n in range((width + EVERY_COLUMN - 1) // EVERY_COLUMN):
+            x, above, below = n * EVERY_COLUMN, ti.max(row - half, 0), ti.min(row + half, height - 1)
+            number = region[row, x]
+            alike = region[above, x] == number and region[below, x] == number and below - above == 2 * half
+            if (row + n) % EVERY_ROW == 0 and alike and absolute[number] == 1:
+                bend, bending = 0.0, vec3(0.0)
+                for k in range(-1, 2):
+                    y, counts = row + k * half, 1.0 - 3.0 * (k == 0)
+                    down, right = (y % NODE_PX) / NODE_PX, (x % NODE_PX) / NODE_PX
+                    terms = node_terms(columns, y // NODE_PX, down, x // NODE_PX)
+                    terms += right * (node_terms(columns, y // NODE_PX, down, x // NODE_PX + 1) - terms)
+                    bending += counts * bending_at(table, within, terms, unwrapped[y, x])
+                    off = phase[y, x] - unwrapped[y, x]
+                    bend += counts * (unwrapped[y, x] + off - 2 * PI * ti.round(off / (2 * PI)))
+                # What the response's correction lacks is known, but for a share.
+                bend += bending[0]
+                if ti.abs(bend) < most:
+                    seen = vec5(1.0, bend, bending[0], bending[1], bending[2])
+                    moments += seen.outer_product(seen)
+        for j, k in ti.static(ti.ndrange(5, 5)):
+            out_moments[row, j, k] = moments[j, k]
+
+
 @kernel
 def correct_by_modulation_kernel(
     region: I32Array2,  # (H, W) region's number from 1; 0 outside
@@ -93,13 +159,8 @@ def correct_by_modulation_kernel(
         for k in range(count):
             x = first + k
             if absolute[region[y, x]] == 1:
-                cycles = unwrapped[y, x] * (0.5 / PI)
-                here = terms + k * change
-                along = here[0] + cycles * (here[1] + cycles * (here[2] + cycles * here[3]))
-                ripples = ripples_at(table, cycles, along)
-                share = cycles + 0.5 - ti.floor(cycles + 0.5)
-                of_contrast = tabled(within, 0, share) + (2.0 + ripples[0]) * tabled(within, 1, share)
-                added = shares[0] * ripples[0] * of_contrast + shares[1] * ripples[1] + shares[2] * ripples[2]
+                bending = bending_at(table, within, terms + k * change, unwrapped[y, x])
+                added = shares[0] * bending[0] + shares[1] * bending[1] + shares[2] * bending[2]
                 phase[y, x] = phase[y, x] + added
 
 
@@ -120,6 +181,55 @@ def follow_phase_kernel(
             if region[y, x] > 0 and ti.abs(change) < 0.5 * PI:
                 unwrapped[y, x] = unwrapped[y, x] + change
                 phase[y, x] = smoothed[y, x]
+
+
+def measure_bends(
+    phase: F32,
+    unwrapped: F32,
+    region: I32,
+    known: npt.NDArray[np.bool_],
+    ripples: CodeRipples,
+    half: int,
+    most: float,
+) -> npt.NDArray[np.float64]:
+    """Return how the phase bends within a cycle, where the surface does not, and how the ripples do.
+
+    Parameters
+    ----------
+    phase : (H, W) float32
+        rad, before it is smoothed.
+    unwrapped : (H, W) float32
+        rad.
+    region : (H, W) int32
+        The region's number from 1; 0 outside.
+    known : (regions + 1,) bool
+        Whether a region's orders are absolute; see `correct_by_modulation`.
+    ripples : CodeRipples
+        What the code does, whatever the shares.
+    half : int
+        Rows of half a cycle.
+    most : float
+        By how much an even surface bends at most, rad.
+
+    Returns
+    -------
+    (5, 5) float64
+        Sums of the products of 1, what the phase bends after the response's ripple has been added, and the ripples.
+
+    Raises
+    ------
+    ShapeError
+        A shape or dtype is another one.
+    """
+    shape = (int(phase.shape[0]), int(phase.shape[1]))
+    phase = checks.read_array("phase", phase, shape, np.float32)
+    unwrapped = checks.read_array("unwrapped", unwrapped, shape, np.float32)
+    region = checks.read_array("region", region, shape, np.int32)
+    moments = np.empty((shape[0], 5, 5), np.float32)
+    table, within, _, columns = ripples
+    seen = phase, unwrapped, region, known.astype(np.int32)
+    measure_bends_kernel(*seen, table, within, columns, half, most, moments)
+    return np.asarray(moments.sum(axis=0), np.float64)
 
 
 def correct_by_modulation(

@@ -60,15 +60,14 @@ def weigh_offsets_kernel(
         for m in range(block.shape[0]):
             n = block[m]
             square, depart = vec16(most * most), vec16(0.0)
-            for k in ti.static(range(LANES)):
-                cycle = order[n] + first_offset + group * LANES + k
-                if cycle >= 0 and cycle < code.shape[0]:
-                    along = columns[n, 2] + cycle * columns[n, 3]
-                    along = columns[n, 0] + cycle * (columns[n, 1] + cycle * along)
-                    place = ti.cast((along - ti.floor(along)) * code.shape[1], ti.i32)
-                    place = ti.max(ti.min(place, code.shape[1] - 1), 0)  # not a number where nothing is met
-                    depart[k] = ti.max(ti.min((level[n] - code[cycle, place]) / sigma[n], most), -most)
-                    square[k] = depart[k] * depart[k]
+            first = order[n] + first_offset + group * LANES
+            for k in range(ti.max(-first, 0), ti.min(code.shape[0] - first, LANES)):
+                along = columns[n, 2] + (first + k) * columns[n, 3]
+                along = columns[n, 0] + (first + k) * (columns[n, 1] + (first + k) * along)
+                place = ti.cast((along - ti.floor(along)) * code.shape[1], ti.i32)
+                place = ti.max(ti.min(place, code.shape[1] - 1), 0)  # not a number where nothing is met
+                depart[k] = ti.max(ti.min((level[n] - code[first + k, place]) / sigma[n], most), -most)
+                square[k] = depart[k] * depart[k]
             add_alone(out_squares[patch[m], group], share[m] * square)
             add_alone(out_departs[patch[m], group], share[m] * depart)
 

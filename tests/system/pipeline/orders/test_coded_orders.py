@@ -238,7 +238,7 @@ def test_too_few_cycles_are_flagged(rows, gamma):
         assert not (frame.absolute & off).any()
         absolute.append(frame.absolute.any())
         assert absolute[-1] or {doubt.key for doubt in frame.warnings} & {"code not seen", "orders guessed"}
-    assert sum(absolute) <= {26: 0, 36: 1, 48: 4}[rows]
+    assert sum(absolute) <= {26: 0, 36: 2, 48: 4}[rows]
 
 
 def test_two_objects_too_small_for_the_code():
@@ -359,10 +359,13 @@ def moved(rig, along_px):
     return rig.model_copy(update={"projector": rig.projector.model_copy(update={"matrix": matrix})})
 
 
-@pytest.mark.parametrize(("scene", "stripes"), [("waves", "horizontal"), ("bust", "horizontal"), ("plane", "vertical")])
-def test_a_pattern_that_lies_elsewhere_than_the_calibration_says(scene, stripes):
+@pytest.mark.parametrize(
+    ("scene", "stripes", "gamma"),
+    [("waves", "horizontal", 2.0), ("bust", "horizontal", 2.0), ("plane", "horizontal", 1.0), ("plane", "vertical", 2.0)],
+)
+def test_a_pattern_that_lies_elsewhere_than_the_calibration_says(scene, stripes, gamma):
     """Along the stripe, by less than a quarter of a cell of 8.7 px it is read there; by more nothing is absolute."""
-    truth, calibration = simulated(scene, "contrast2", stripes=stripes, size=FULL)
+    truth, calibration = simulated(scene, "contrast2", stripes=stripes, size=FULL, gamma=gamma)
     settings = DecodeSettings(stripes=stripes)
     for along_px in (1, 2, 2.4, 4, 8, 16, -40):
         with warnings.catch_warnings():

@@ -6,7 +6,7 @@ import reference
 
 import tikernels
 from tikernels.order_evidence import correct_by_modulation, follow_phase
-from tikernels.order_evidence.modulation_correction import NODE_PX, TABLED, CodeRipples
+from tikernels.order_evidence.modulation_correction import NODE_PX, TABLED, CodeRipples, measure_bends
 from tikernels.phase.equalization import modulation_tables
 
 EDGES = np.linspace(-np.pi, np.pi, 257)
@@ -51,6 +51,36 @@ def test_correction_as_the_twin(arch):
     sure = (region == 1) & (np.abs(np.mod(5 * along + 0.5, 1) - 0.5) > 1e-3)
     assert sure.sum() > 0.97 * (region == 1).sum()
     np.testing.assert_allclose((corrected - phase)[sure], expected[sure], atol=1e-4)
+
+
+def test_bends_as_the_twin(arch):
+    """Of every sixteenth column and every fourth row, where a pixel and those half a cycle away lie in one region."""
+    rng = np.random.default_rng(7)
+    shape, half, most = (2 * NODE_PX + 7, 2 * NODE_PX + 13), 5, 0.3
+    y, x = np.indices(shape)
+    cycles = 0.5 + (y + 0.1 * x) / 12
+    nodes = nodes_of(shape)
+    nodes[:] = 0.3 * np.arange(nodes.shape[0])[:, None, None] + 0.2 * np.arange(nodes.shape[1])[:, None]
+    nodes *= np.array([1, 0.05, 1e-3, 1e-4], np.float32)
+    table = rng.uniform(-0.16, 0.16, (11 * TABLED + 1, 5, 3)).astype(np.float32)
+    ripples = CodeRipples(table, modulation_tables(RESPONSE), np.zeros(3, np.float32), nodes)
+    region = 1 + (x > 40).astype(np.int32) + (y > 50)
+    unwrapped = (2 * np.pi * cycles).astype(np.float32)
+    phase = np.angle(np.exp(1j * (unwrapped + rng.normal(0, 0.1, shape)))).astype(np.float32)
+    found = measure_bends(phase, unwrapped, region, np.array([False, True, False, True]), ripples, half, most)
+    along = columns_at(nodes.astype(float), shape, cycles)
+    expected = [reference.correct_by_modulation(cycles, table, TABLED, along, ripples.within, one) for one in np.eye(3)]
+    absolute = 2 * np.pi * cycles + reference.wrapped(phase - 2 * np.pi * cycles)
+
+    def bend(values):
+        return values[: -2 * half] - 2 * values[half:-half] + values[2 * half :]
+
+    seen = np.stack([np.ones_like(bend(absolute)), bend(absolute) + bend(expected[0]), *map(bend, expected)])
+    middle, above, below = region[half:-half], region[: -2 * half], region[2 * half :]
+    counts = (middle == above) & (middle == below) & (middle % 2 == 1) & (np.abs(seen[1]) < most)
+    counts &= (x[half:-half] % 16 == 0) & ((x[half:-half] // 16 + y[half:-half]) % 4 == 0)
+    assert 20 < counts.sum() < 0.9 * counts.size / 64
+    np.testing.assert_allclose(found, seen[:, counts] @ seen[:, counts].T, rtol=1e-3, atol=1e-3)
 
 
 def test_tables_undo_a_square_response():
