@@ -245,6 +245,11 @@ def nobody(original: Original) -> Any:
     return lambda misfit, *_: np.zeros(misfit.shape, bool)
 
 
+def nowhere(original: Original) -> Any:
+    """Find none of a lattice's places."""
+    return lambda lattice, *_: np.zeros(lattice.contrast.shape, bool)
+
+
 def flat_contrast(original: Original) -> Any:
     """Take the fringe to be as sharp everywhere."""
     return property(lambda self: np.ones(self.ratios.shape[:2], np.float32))
@@ -323,7 +328,7 @@ _ALL = (
         {"surface_search:SurfaceSearch._add": gives(False)},
         "surface_search:SurfaceSearch._add surface_search:_largest_part"),
     Mechanism("unusual neighbourhoods", "places with more misfit than elsewhere are looked at anew", "r-objects",
-        {"surface_labels:_unusual_neighbourhoods": nobody}, "surface_labels:_unusual_neighbourhoods"),
+        {"surface_labels:_unusual_neighbourhoods": nowhere}, "surface_labels:_unusual_neighbourhoods"),
     Mechanism("only colour acts after", "no search where the only colour acts after the crosstalk", "",
         {"surface_finding:SurfaceFinder._acts_after": gives(False)}, "surface_finding:SurfaceFinder._acts_after",
         promise="saves the search on frames of one colour"),
