@@ -361,7 +361,12 @@ def moved(rig, along_px):
 
 @pytest.mark.parametrize(
     ("scene", "stripes", "gamma"),
-    [("waves", "horizontal", 2.0), ("bust", "horizontal", 2.0), ("plane", "horizontal", 1.0), ("plane", "vertical", 2.0)],
+    [
+        ("waves", "horizontal", 2.0),
+        ("bust", "horizontal", 2.0),
+        ("plane", "horizontal", 1.0),
+        ("plane", "vertical", 2.0),
+    ],
 )
 def test_a_pattern_that_lies_elsewhere_than_the_calibration_says(scene, stripes, gamma):
     """Along the stripe, by less than a quarter of a cell of 8.7 px it is read there; by more nothing is absolute."""
