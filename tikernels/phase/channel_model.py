@@ -60,8 +60,6 @@ _SAMPLES_A_THREAD = 64
 _EVERY = 4
 # What is known of the template beforehand weighs as much as this many samples: nothing where there is a surface.
 _PRIOR_SAMPLES = 30
-# Where it is known for sure, by this factor more.
-_SURE = 1e9
 # Ambient light is at most this share of a surface's; more, and it is the contrast that is read wrongly.
 _MAX_AMBIENT = 0.6
 # Surfaces that vary less in brightness than this, as a fraction, do not tell ambient light from a low contrast.
@@ -195,14 +193,17 @@ class ChannelModel:
         gains, sharpness = self.gains, self.sharpness
         self.nodes = runtime.empty(tuple(self.nodes.shape), np.float32)  # a frame keeps those that it was fitted
         sharpness.forget()
+        if fixed:
+            self.template, self.mismatch = runtime.to_host(known), template_mismatch(known, crosstalk.weights)
         for _ in range(_FOCUS_TURNS):
-            self._fit_template(crosstalk.weights, correction, known, fixed=fixed)
+            if not fixed:
+                self._fit_template(crosstalk.weights, correction, known)
             self._fit_nodes(correction)
             seen = (gains.samples, self.phases, correction)
             if not sharpness.refine(*seen, self.template, self.nodes, gains.window.rows, _SHARPNESS * contrast_doubt):
                 break
 
-    def _fit_template(self, weights: npt.NDArray[np.float32], correction: F32, known: F32, *, fixed: bool) -> None:
+    def _fit_template(self, weights: npt.NDArray[np.float32], correction: F32, known: F32) -> None:
         """Fit one cycle of the channels to the samples."""
         gains, samples = self.gains, (self.balanced, self.phases, correction)
         light = (gains.smooth, self.sharpness.values, gains.spacing_px, self._share)
@@ -211,7 +212,7 @@ class ChannelModel:
         gram = np.zeros((TERMS, TERMS))
         gram[tuple(np.transpose(_UPPER))] = normal[:_CORNERS]
         gram += np.triu(gram, 1).T
-        weight = (_SURE if fixed else 1.0) * max(gram[0, 0], 1e-6) / max(normal[-1], 1)
+        weight = max(gram[0, 0], 1e-6) / max(normal[-1], 1)
         prior = _PRIOR_SAMPLES * weight * np.array([1.0] + [0.5] * (2 * HARMONICS))
         gram += np.diag(prior)
         right = normal[_CORNERS:-1].reshape(TERMS, 3) + prior[:, None] * runtime.to_host(known).T
