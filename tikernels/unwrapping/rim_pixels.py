@@ -222,16 +222,17 @@ def mark_strangers(
 
 
 @ti.func
-def ends_at(region: I32Array2, y: i32, x: i32) -> i32:
+def ends_at(region: I32Array2, y: i32, x: i32) -> u1:
     """Whether a surface ends at a pixel, in any of eight directions: behind a hole it goes on."""
-    ends = 0
-    for ray in range(8):
+    ends, ray = False, 0
+    while ray < 8 and not ends:
         dy, dx = place_of_ray(ray)
         room = ti.min(room_along(y, dy, region.shape[0]), room_along(x, dx, region.shape[1]))
-        own = ti.cast(room == 0, i32)
-        for far in range(1, ti.min(room, _HOLE) + 1):
-            own += ti.cast(region[y + far * dy, x + far * dx] == region[y, x], i32)
-        ends |= ti.cast(own == 0, i32)
+        far, most = 1, ti.min(room, _HOLE)
+        while far <= most and region[y + far * dy, x + far * dx] != region[y, x]:
+            far += 1
+        ends = room > 0 and far > most
+        ray += 1
     return ends
 
 
@@ -243,7 +244,7 @@ def mark_rim(region: I32Array2, mask: U8Array2, cell: i32) -> i32:
     if lies_at_rim(region, top, left, bottom, right):
         for y in range(top, bottom):
             for x in range(left, right):
-                if region[y, x] > 0 and ends_at(region, y, x) == 1:
+                if region[y, x] > 0 and ends_at(region, y, x):
                     mask[y, x] = ti.cast(0, ti.u8)
                     marks = 1
     return marks
