@@ -194,7 +194,8 @@ class ChannelModel:
         self.nodes = runtime.empty(tuple(self.nodes.shape), np.float32)  # a frame keeps those that it was fitted
         sharpness.forget()
         if fixed:
-            self.template, self.mismatch = runtime.to_host(known), template_mismatch(known, crosstalk.weights)
+            self.template = runtime.to_host(known)
+            self.mismatch = template_mismatch(self.template, crosstalk.weights)
         for _ in range(_FOCUS_TURNS):
             if not fixed:
                 self._fit_template(crosstalk.weights, correction, known)
