@@ -48,9 +48,11 @@ _FIRST_STEPS, _STEPS = 3, 1
 _MOST = 16
 # A surface whose pixels are off its model by more than this fraction does not fit them, unless the frame began with it.
 _UNFIT = 0.02
-# Of surfaces whose colours differ by less (natural logarithm) the smaller ones must explain much more, as those do that
-# do not fit: a code's contrast looks a little like another paint, as far as the light is not known.
-_ALIKE = 0.05
+# By how much better than any other a surface must explain its places, in variances; and if it does not fit them.
+_BETTER, _MUCH_BETTER = 0.3, 1.0
+# Surfaces whose colours differ by less (natural logarithm) are one paint: as far as the light is not known, a code's
+# contrast looks like another a little.
+_ALIKE = 0.1
 # If the largest surface is off by more than this, the search has failed. Demosaicking and JPEG make up to 0.03, where
 # phases without surfaces are off up to four times as much; a calibration of another rig makes 0.06 and more.
 _CONTRADICTED = 0.05
@@ -314,8 +316,9 @@ class SurfaceSearch:
         """Give every place to the surface that explains it best."""
         lattice, levels, doubt = self._lattice, self._look.levels, self._known.contrast_doubt
         misfits = surface_misfits(lattice, self._neutral(fitted), levels, doubt)
-        fits = ((fitted.misfit < _UNFIT) | self._spared) & ~self._alike(fitted)
-        return relabel(lattice, misfits, self._labels, fits, self._first, afresh=afresh)
+        gains = np.where((fitted.misfit < _UNFIT) | self._spared, _BETTER, _MUCH_BETTER)
+        gains[self._alike(fitted)] = np.inf
+        return relabel(lattice, misfits, self._labels, gains, self._first, afresh=afresh)
 
     def _alike(self, fitted: FittedMatrices) -> _Mask:
         """Return which surfaces have nearly the colour of a larger one."""

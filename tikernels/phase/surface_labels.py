@@ -47,11 +47,9 @@ _ALONE = np.ones(1)
 _NEIGHBOURHOOD_CYCLES, _MOST_AROUND = 0.85, 4.0
 # So far from an edge between two places pixels are asked, px.
 _EDGE_PX = 8
-# A surface of fewer pixels is none, and neither is one whose pixels another explains as well, but for this much; or if
-# its own model does not fit them, for the second.
+# A surface of fewer pixels is none.
 LEAST_PX = 400
-_BETTER, _MUCH_BETTER = 0.3, 1.0
-# So is one of which no more than this share is inside: a mixture of two along their edge.
+# Nor is one of which no more than this share is inside: a mixture of two along their edge.
 _LINE = 0.03
 # No surface explains a place with a larger misfit, or a neighbourhood with one larger than this, also in units of what
 # is usual in the frame.
@@ -74,7 +72,13 @@ class Relabelled(NamedTuple):
 
 
 def relabel(
-    lattice: Lattice, misfits: _Misfits, before: _Labels, fits: _Mask, founding: _Mask, *, afresh: bool = False
+    lattice: Lattice,
+    misfits: _Misfits,
+    before: _Labels,
+    gains: npt.NDArray[np.float64],
+    founding: _Mask,
+    *,
+    afresh: bool = False,
 ) -> Relabelled:
     """Give every place to the surface that fits it best, and drop surfaces that none needs.
 
@@ -86,8 +90,8 @@ def relabel(
         See `surface_misfits`.
     before : (h, w) uint8
         The surfaces that places are taken to show so far.
-    fits : (N,) bool
-        Which surfaces fit their places; others are kept only where the rest is much worse.
+    gains : (N,) float
+        By how much better than any other each must explain its places to be kept.
     founding : (N,) bool
         Which ones the frame began with: none that came later takes the place of one.
     afresh : bool
@@ -107,7 +111,7 @@ def relabel(
         rivals = [j for j in others if founding[j] or not founding[k]]
         if others and sizes[k] == 0:
             kept = others
-        elif rivals and means[k, rivals].min() - means[k, k] < (_BETTER if fits[k] else _MUCH_BETTER):
+        elif rivals and means[k, rivals].min() - means[k, k] < gains[k]:
             kept = others
     while True:
         nearest = averages[kept].argmin(axis=0)

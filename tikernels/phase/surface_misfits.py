@@ -10,7 +10,7 @@ rho the contrast that the projector's light has at the bare phase of (x, y). Lig
 pixels along the stripes, at the places of a lattice of some rows a cycle; pixels alone where several surfaces meet.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -80,7 +80,7 @@ class Lattice(NamedTuple):
         """How many pixels a place stands for."""
         return self.rows * self.columns
 
-    def blurred(self, values: npt.NDArray[Any], sigma_px: float) -> npt.NDArray[np.float32]:
+    def blurred(self, values: npt.NDArray[np.bool_ | np.float32], sigma_px: float) -> npt.NDArray[np.float32]:
         """Return values of the places, smoothed by a Gaussian."""
         sigma = (max(0.2, sigma_px / self.columns), max(0.2, sigma_px / self.rows))
         return np.asarray(cv2.GaussianBlur(values.astype(np.float32, copy=False), (0, 0), sigma[0], sigmaY=sigma[1]))

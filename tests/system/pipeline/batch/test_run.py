@@ -579,7 +579,7 @@ def test_regions_of_interest_that_are_none(job, rig):
         decode_footage(replace(job, calibration=simulated_rig((640, 480))))
 
 
-@pytest.mark.filterwarnings("ignore:the colours' fringes differ")
+@pytest.mark.filterwarnings("ignore:the colours' fringes differ", "ignore:no matrix explains the colours")
 @pytest.mark.parametrize("stripes", ["horizontal", "vertical"])
 def test_fetched_fields_need_no_device(arch, stripes, monkeypatch):
     """Another thread writes them while the device decodes the next frame."""
