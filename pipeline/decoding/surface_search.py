@@ -50,8 +50,8 @@ _MOST = 16
 _UNFIT = 0.02
 # By how much better than any other a surface must explain its places, in variances; and if it does not fit them.
 _BETTER, _MUCH_BETTER = 0.3, 1.0
-# Surfaces whose colours differ by less (natural logarithm) are one paint: as far as the light is not known, a code's
-# contrast looks like another a little.
+# Under a code surfaces whose colours differ by less (natural logarithm) are one paint: its contrasts look like another
+# one's a little, as far as the light is not known.
 _ALIKE = 0.1
 # If the largest surface is off by more than this, the search has failed. Demosaicking and JPEG make up to 0.03, where
 # phases without surfaces are off up to four times as much; a calibration of another rig makes 0.06 and more.
@@ -317,7 +317,8 @@ class SurfaceSearch:
         lattice, levels, doubt = self._lattice, self._look.levels, self._known.contrast_doubt
         misfits = surface_misfits(lattice, self._neutral(fitted), levels, doubt)
         gains = np.where((fitted.misfit < _UNFIT) | self._spared, _BETTER, _MUCH_BETTER)
-        gains[self._alike(fitted)] = np.inf
+        if doubt:
+            gains[self._alike(fitted)] = np.inf
         return relabel(lattice, misfits, self._labels, gains, self._first, afresh=afresh)
 
     def _alike(self, fitted: FittedMatrices) -> _Mask:
