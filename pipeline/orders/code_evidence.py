@@ -39,7 +39,7 @@ _FEW = 100
 # By how much likelier than no code, or another one, a frame's largest parts must be to show it (natural logarithm), or
 # less likely not to; and how much that may count for other parts: where the rig has been turned a part of the picture
 # may lie elsewhere. It is plain to see where it is likelier by so much a block.
-_SHOWN, _MOST_TRUST, _PLAIN = 6.0, 20.0, 0.25
+_SHOWN, _MOST_TRUST, _PLAIN = 6.0, 12.0, 0.25
 # A factor changes from surface to surface of a part: of parts of more blocks than this, what is left of it in so many
 # blocks and rows of patches around each is taken off.
 _FLATTENED, _AROUND = 100, (5, 3)
