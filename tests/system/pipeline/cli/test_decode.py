@@ -204,6 +204,7 @@ def test_a_jpeg_that_says_nothing_is_srgb_and_a_png_linear(folder, command):
     assert off["srgb"] < 0.5 * off["wrong"]
 
 
+@pytest.mark.filterwarnings("ignore:no matrix explains the colours")  # of a lower resolution
 def test_a_jpeg_is_read_as_footage_is(folder, command):
     """From its planes, which costs less than the RGB that libraries make of them; and damage is told."""
     jpeg = cv2.imencode(".jpg", cv2.imread(str(folder / "frame.png")))[1].tobytes()
