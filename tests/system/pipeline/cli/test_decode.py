@@ -5,6 +5,7 @@ import shutil
 
 import cv2
 import numpy as np
+import pytest
 import zarr
 from support.command_line import colorphase
 
