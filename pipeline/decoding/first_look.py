@@ -222,7 +222,7 @@ class FirstLook:
         return seen, np.asarray(balanced @ self.crosstalk.weights.T.astype(np.float64)), contrast
 
     def _contrast_at(self, samples: npt.NDArray[np.intp]) -> FloatArray:
-        """Return what `contrast_around` has at some samples, without the others."""
+        """Return what blur leaves of the contrast around some samples (N,), a factor."""
         row, column = np.divmod(samples, int(self.gains.samples.shape[1]))
         # Where these lie between the nodes, whose values are those of the middles of their squares.
         y, x = (row + 0.5) / self.spacing_px - 0.5, (column + 0.5) / self._every - 0.5

@@ -40,11 +40,11 @@ _FIRST_SAMPLES, _SAMPLES, _MOST_SAMPLES, _FEW_SAMPLES, _LEAST_SAMPLES = 1000, 40
 _MARGIN_PX = 17
 # They are spread evenly: the golden section, whose multiples come nowhere near each other.
 _GOLDEN = 0.6180339887498949
-# Turns; all but the last tell the common light, too, and make new surfaces, so many at the most.
+# How many turns; in all but the last the common light is fitted, too, and up to so many new surfaces are made.
 _TURNS, _NEW = 3, 5
 # Newton's steps in the first turn, and in those that begin where the last one ended.
 _FIRST_STEPS, _STEPS = 3, 1
-# Surfaces at the most.
+# The largest number of surfaces.
 _MOST = 16
 # A surface whose pixels are off its model by more than this fraction does not fit them, unless the frame began with it.
 _UNFIT = 0.02
@@ -84,7 +84,7 @@ class KnownLight:
     lag: FloatArray | None
     """(3,) rad; see `channel_delays`."""
     doubt: LightDoubt
-    """How well it is known."""
+    """Standard deviations of what is known."""
     contrast_doubt: float
     """Standard deviation of a pixel's contrast by the pattern's code, as a fraction."""
     bands: FloatArray
@@ -365,7 +365,7 @@ class SurfaceSearch:
         self._first = np.concatenate([self._first, np.zeros(len(places), bool)])
 
     def _renumber(self, numbers: list[int]) -> None:
-        """Drop the surfaces that have no places to speak of."""
+        """Keep the surfaces with these numbers only."""
         if len(numbers) == len(self._colors):
             return
         table = np.zeros(NO_SURFACE + 1, np.uint8)
