@@ -46,7 +46,7 @@ from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.field_motion import MOTION_TURNS, FieldMotion, doubt_motion, hold_still, measure_motion
 from tikernels.phase.frame_statistics import FrameLevels, FrameStatistics, measure_frame
 from tikernels.phase.phase_change import RATE_ACROSS, measure_rates
-from tikernels.phase.phase_fit import FittedPhase, count_phases, fit_phase
+from tikernels.phase.phase_fit import FittedPhase, fit_phase
 from tikernels.phase.white_light import FrameLight
 from tikernels.unwrapping import GivenRegions, UserUnwrapper
 from tikernels.unwrapping.rim_growing import doubt_rims, grow_rims
@@ -420,8 +420,7 @@ class Decoder:
     ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
         """Balance the channels, and return what equalises their phases, and the light's cycle."""
         work.gains.measure(image, crosstalk, levels)
-        work.model.recover(crosstalk, levels)
-        return self._path.cycle(count_phases(image, work.gains, crosstalk, levels).astype(np.float64), work.period_px)
+        return self._path.cycle(work.model.recover(crosstalk, levels), work.period_px)
 
     def _hold_still(
         self, frame: LinearFrame, levels: FrameLevels, work: Workspace, memory: FrameMemory | None

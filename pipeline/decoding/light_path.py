@@ -121,7 +121,9 @@ class LightPath:
         self.constant_known = light.constant_known
         self.constant_sigma = light.constant_sigma if light.constant_known else _UNKNOWN_CONSTANT
 
-    def cycle(self, histogram: FloatArray, period_px: float) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    def cycle(
+        self, histogram: npt.NDArray[np.int64], period_px: float
+    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
         """Return what undoes the projector's response, and what one cycle of each channel then looks like.
 
         What is known of the response is a prior: the fringe is blurred after it, and the frame has the last word, as
@@ -130,7 +132,7 @@ class LightPath:
         Parameters
         ----------
         histogram : (tiles, bins)
-            How often each phase was seen; see `phase_fit.count_phases`.
+            How often each phase is seen; see `ChannelModel.recover`.
         period_px : float
             Camera px a cycle.
 

@@ -27,7 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import checks, runtime
-from tikernels._taichi import F32Array1, F32Array2, F32Array3, f32, i32, ti, vec3, vec4
+from tikernels._taichi import F32Array1, F32Array2, F32Array3, I32Array2, f32, i32, ti, u1, vec3, vec4
 from tikernels.arrays import F32
 from tikernels.lanes import LANES, float_lanes
 from tikernels.launching import constant, kernel
@@ -44,6 +44,7 @@ from tikernels.phase.channel_template import (
 )
 from tikernels.phase.color_balance import Gains, WindowSum, gain_at, sample_at, shows_fringe
 from tikernels.phase.crosstalk import Crosstalk, weighed_vector
+from tikernels.phase.equalization import BINS, place_in_cycle
 from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.fringe_sharpness import FringeSharpness, equalized_at
 from tikernels.phase.phase_vector import arctangent, matrix_of, modulation_of
@@ -76,6 +77,8 @@ _EMPTY = 0.006
 _SHARPNESS = 0.36
 # Turns of fitting, at most, while the fringe is found to be sharper here than there.
 _FOCUS_TURNS = 4
+# The frame is counted in this many tiles both ways.
+_TILES = 6
 # Numbers of a node that its neighbours may take over: A, B, and the weight that they have.
 _SHARED = 7
 
@@ -109,6 +112,7 @@ class ChannelModel:
         self.balanced = runtime.empty((height, columns, 3), np.float32)
         #: (H, Wb) rad, the samples' bare phase; NO_PHASE where there is none.
         self.phases = runtime.empty((height, columns), np.float32)
+        self._histogram = runtime.empty((_TILES**2, BINS), np.int32)
         strips = height * -(-columns // _SAMPLES_A_THREAD)
         self._moments = runtime.empty((strips, _MOMENTS), np.float32)
         template_strips = height * -(-columns // (_EVERY * _SAMPLES_A_THREAD))
@@ -132,7 +136,7 @@ class ChannelModel:
         # Which share of the background is ambient light.
         self._share = 0.0
 
-    def recover(self, crosstalk: Crosstalk, levels: FrameLevels) -> None:
+    def recover(self, crosstalk: Crosstalk, levels: FrameLevels) -> npt.NDArray[np.int64]:
         """Balance the samples that the gains were measured from, find their bare phase, and what is ambient light.
 
         Parameters
@@ -141,10 +145,17 @@ class ChannelModel:
             What the gains were measured with.
         levels : FrameLevels
             Clipped samples, and those with less modulation, have no phase.
+
+        Returns
+        -------
+        (tiles, bins) int64
+            How often the bare phase falls into each bin of the cycle from -pi to pi, by tile of the image. A sample
+            with one clipped channel counts: else the phases at which that channel is bright would be missing.
         """
         gains = self.gains
         samples = (gains.samples, gains.gains, gains.sums, gains.spacing_px, crosstalk.weights)
-        out = (self.balanced, self.phases, self._moments)
+        self._histogram.fill(0)
+        out = (self._histogram, self.balanced, self.phases, self._moments)
         recover_samples_kernel(*samples, levels.modulation, levels.telling, levels.clipped, *out)
         moments = runtime.to_host(self._moments)  # synchronises
         count, modulation, background, square, product = moments.sum(axis=0, dtype=np.float64)
@@ -157,6 +168,7 @@ class ChannelModel:
             if variance * count > (_MIN_VARIATION * background) ** 2 and covariance > 0:
                 share = 1 - modulation * variance / (covariance * background)
                 self._share = float(np.clip(share, 0, _MAX_AMBIENT))
+        return runtime.to_host(self._histogram).astype(np.int64)  # synchronises
 
     def fit(
         self,
@@ -232,6 +244,17 @@ class ChannelModel:
         settle_nodes_kernel(self._shared, self._around, self.nodes)
 
 
+@ti.func
+def is_lit(light: vec3, min_intensity: f32, clipped: f32) -> u1:
+    """Whether a pixel is bright enough, and not two of its channels are clipped.
+
+    Leaving out whatever has a single clipped channel would leave out the phases at which it is bright.
+    """
+    low, high = ti.min(light.x, light.y), ti.max(light.x, light.y)
+    second_brightest = ti.max(low, ti.min(high, light.z))
+    return (light.sum() > 3.0 * min_intensity) & (second_brightest < clipped)
+
+
 @kernel
 def recover_samples_kernel(
     samples: F32Array3,  # (H, Wb, 3) the channels that the gains belong to, levels
@@ -242,16 +265,19 @@ def recover_samples_kernel(
     min_modulation: f32,  # levels
     telling: f32,  # modulation of a sample that says which share of the light is ambient, levels
     max_level: f32,
+    out_histogram: I32Array2,  # (tiles, bins) how often each phase is seen, to be added to
     out_balanced: F32Array3,  # (H, Wb, 3) the same, times their gains
     out_phase: F32Array2,  # (H, Wb) rad; NO_PHASE where there is none
     out_moments: F32Array2,  # (strips, 5) sums of 1, modulation, background, its square, the product
 ):
-    """Balance the samples, take their phase, and sum up each strip's modulation and background."""
+    """Balance the samples, take their phase and count it, and sum up each strip's modulation and background."""
+    bins = out_histogram.shape[1]
     for strip in range(samples.shape[0] * strip_count(samples.shape[1], _SAMPLES_A_THREAD)):
         y, start, total = strip_at(strip, samples.shape[1], _SAMPLES_A_THREAD)
         weights = matrix_of(phase_weights)
         light, color_gains = lanes_of_colors(0.0), lanes_of_colors(1.0)
-        angle, moments = float_lanes(0.0), sample_moments(0.0)
+        angle, place, moments = float_lanes(0.0), float_lanes(0.0), sample_moments(0.0)
+        row = y * _TILES // samples.shape[0] * _TILES
         for part in range(strip_count(total, LANES)):
             first, count = start + part * LANES, ti.min(LANES, total - part * LANES)
             for k in range(count):
@@ -264,7 +290,10 @@ def recover_samples_kernel(
                 vector = weighed_vector(seen, gain, weights)
                 modulation, background = modulation_of(vector), vector.z
                 whole = (seen.max() < max_level) & (k < count)
-                angle[k] = ti.select(whole & (modulation > min_modulation), arctangent(vector.y, vector.x), NO_PHASE)
+                bare = arctangent(vector.y, vector.x)
+                angle[k] = ti.select(whole & (modulation > min_modulation), bare, NO_PHASE)
+                counts = is_lit(seen, 0.0, max_level) & (modulation > telling) & (k < count)
+                place[k] = ti.select(counts, place_in_cycle(bare, bins), -1.0)
                 tells = ti.select(whole & (modulation > telling), 1.0, 0.0)
                 moments[0, k] += tells
                 moments[1, k] += tells * modulation
@@ -272,8 +301,11 @@ def recover_samples_kernel(
                 moments[3, k] += tells * background * background
                 moments[4, k] += tells * background * modulation
                 set_color(light, k, seen * gain)
+            tile = row + first * _TILES // samples.shape[1]
             for k in range(count):
                 out_phase[y, first + k] = angle[k]
+                if place[k] >= 0.0:
+                    out_histogram[tile, ti.min(ti.cast(place[k], i32), bins - 1)] += 1
                 for c in ti.static(range(3)):
                     out_balanced[y, first + k, c] = light[c, k]
         for n in ti.static(range(_MOMENTS)):

@@ -30,32 +30,29 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from tikernels import checks, runtime
+from tikernels import checks
 from tikernels._taichi import (
     AnyArray3,
     F32Array1,
     F32Array2,
     F32Array3,
-    I32Array2,
     Static,
     U8Array2,
     f32,
     i32,
     mat3,
     ti,
-    u1,
     vec3,
     vec4,
 )
 from tikernels.arrays import F32, LevelsImage
 from tikernels.launching import kernel
-from tikernels.phase.channel_model import ChannelModel
+from tikernels.phase.channel_model import ChannelModel, is_lit
 from tikernels.phase.channel_template import load_harmonics, sharpened_cycle_and_slope, sharpening_of
-from tikernels.phase.color_balance import Gains, gain_at, shows_fringe
 from tikernels.phase.crosstalk import Crosstalk, weighed_vector
-from tikernels.phase.equalization import BINS, equalized, place_in_cycle
+from tikernels.phase.equalization import equalized
 from tikernels.phase.frame_statistics import FrameLevels
-from tikernels.phase.phase_vector import arctangent, color_at, matrix_of, modulation_of, squared_modulation
+from tikernels.phase.phase_vector import arctangent, color_at, matrix_of, modulation_of
 from tikernels.phase.surfaces import (
     neutral_light,
     shows_surface,
@@ -72,12 +69,6 @@ from tikernels.strips import STRIP, color_of, set_color, strip_at, strip_count
 _MAX_STEP = 0.3
 #: A misfit of up to three standard deviations is noise; the square of that.
 MAX_MISFIT = 9.0
-# The image is counted in this many tiles both ways.
-_TILES = 6
-# This many pixels pin the equalisation down: the cumulative distribution of N phases errs by up to pi / sqrt(N).
-_COUNTED = 2**17
-# Pixels that a thread counts at once.
-_SAMPLES_A_THREAD = 16
 
 
 class FittedPhase(NamedTuple):
@@ -93,17 +84,6 @@ class FittedPhase(NamedTuple):
     """The square of what brightness and phase leave over, over its variance."""
     brightness: F32
     """Mean of the channels over a cycle, without ambient light, levels."""
-
-
-@ti.func
-def is_lit(light: vec3, min_intensity: f32, clipped: f32) -> u1:
-    """Whether a pixel is bright enough, and not two of its channels are clipped.
-
-    Leaving out whatever has a single clipped channel would leave out the phases at which it is bright.
-    """
-    low, high = ti.min(light.x, light.y), ti.max(light.x, light.y)
-    second_brightest = ti.max(low, ti.min(high, light.z))
-    return (light.sum() > 3.0 * min_intensity) & (second_brightest < clipped)
 
 
 @ti.func
@@ -303,94 +283,6 @@ def _fit_phase_kernel(mixed: bool, spacing_px: int) -> Any:
                 out_brightness[y, start + k] = bright[k]
 
     return fit_phase_kernel
-
-
-@cache
-def _count_phases_kernel(mixed: bool) -> Any:
-    lanes = ti.types.vector(_SAMPLES_A_THREAD, ti.f32)
-
-    @kernel
-    def count_phases_kernel(
-        image: AnyArray3,  # (H, W, 3) levels
-        labels: U8Array2,  # (H, W) see `Surfaces`
-        unmixing: F32Array3,  # (N, 3, 3)
-        besides: F32Array2,  # (N, 3) levels
-        phase_weights: F32Array2,  # (3, 3)
-        gains: F32Array3,  # (Hg, Wg, 3)
-        sums: F32Array3,  # (Hb, Wb, 8) see `WindowSum`
-        spacing_px: i32,
-        step: i32,  # px between two that are counted
-        min_intensity: f32,  # levels
-        min_modulation: f32,  # levels
-        clipped: f32,  # levels
-        out_histogram: I32Array2,  # (tiles, bins), to be added to
-    ):
-        """Count the arctangent's phases, strip by strip."""
-        height, width, bins = image.shape[0], image.shape[1], out_histogram.shape[1]
-        columns = strip_count(width, step)
-        for strip in range(height * strip_count(columns, _SAMPLES_A_THREAD)):
-            y, first, count = strip_at(strip, columns, _SAMPLES_A_THREAD)
-            # Gains hardly change within a strip.
-            middle = ti.min((first + _SAMPLES_A_THREAD // 2) * step, width - 1)
-            weights = matrix_of(phase_weights)
-            gain = gain_at(gains, spacing_px, y, middle)
-            tile = (y * _TILES // height) * _TILES + middle * _TILES // width
-            red, green, blue, place = lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0)
-            for k in range(count):
-                seen = color_at(image, y, (first + k) * step)
-                red[k], green[k], blue[k] = seen.x, seen.y, seen.z
-            for k in range(_SAMPLES_A_THREAD):
-                seen = vec3(red[k], green[k], blue[k])
-                projected = without_ambient(seen, besides, labels, y, (first + k) * step, mixed)
-                channels = neutral_light(projected, unmixing, labels, y, (first + k) * step, mixed)
-                vector = weighed_vector(channels, gain, weights)
-                counts = is_lit(seen, min_intensity, clipped)
-                counts &= shows_fringe(sums, spacing_px // 2, y, ti.min((first + k) * step, width - 1) // spacing_px)
-                if ti.static(mixed):
-                    counts &= shows_surface(labels, y, (first + k) * step)
-                counts &= squared_modulation(vector) > min_modulation * min_modulation
-                place[k] = ti.select(counts, place_in_cycle(arctangent(vector.y, vector.x), bins), -1.0)
-            for k in range(_SAMPLES_A_THREAD):
-                if place[k] >= 0.0:
-                    out_histogram[tile, ti.min(ti.cast(place[k], i32), bins - 1)] += 1
-
-    return count_phases_kernel
-
-
-def count_phases(image: LevelsImage, gains: Gains, crosstalk: Crosstalk, levels: FrameLevels) -> npt.NDArray[np.int64]:
-    """Count how often the arctangent's phases fall into each bin of the cycle, all over the image.
-
-    Parameters
-    ----------
-    image : (H, W, 3) uint8, uint16 or float32
-        Linear light, levels.
-    gains : Gains
-        The frame's, measured.
-    crosstalk : Crosstalk
-        What the gains were measured with.
-    levels : FrameLevels
-        Darker pixels, those whose modulation tells nothing and clipped ones do not count.
-
-    Returns
-    -------
-    (tiles, bins) int64
-        From -pi to pi; by tile of the image.
-
-    Raises
-    ------
-    ShapeError
-        The image has another shape or dtype.
-    """
-    image = checks.read_array("image", image, (gains.height, gains.width, 3), *LEVEL_TYPES)
-    histogram = runtime.empty((_TILES**2, BINS), np.int32)
-    histogram.fill(0)
-    step = max(1, gains.height * gains.width // _COUNTED)
-    thresholds = (levels.intensity, levels.telling, levels.clipped)
-    surfaces = crosstalk.surfaces
-    shown = (surfaces.labels, surfaces.unmixing, surfaces.ambient)
-    kernel = _count_phases_kernel(surfaces.mixed)
-    kernel(image, *shown, crosstalk.weights, gains.gains, gains.sums, gains.spacing_px, step, *thresholds, histogram)
-    return runtime.to_host(histogram).astype(np.int64)  # synchronises
 
 
 def fit_phase(

@@ -14,7 +14,6 @@ from tikernels.phase.color_balance import Gains
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.equalization import correction_table
 from tikernels.phase.frame_statistics import FrameLevels
-from tikernels.phase.phase_fit import count_phases
 from tikernels.phase.projector_response import light_spectrum
 from tikernels.phase.wrapped_phase import NO_PHASE
 
@@ -41,8 +40,7 @@ def fitted(image: np.ndarray) -> tuple[ChannelModel, Gains]:
     gains = Gains(*SHAPE, PERIOD_PX)
     model = ChannelModel(gains)
     gains.measure(image, crosstalk, LEVELS)
-    correction = correction_table(count_phases(image, gains, crosstalk, LEVELS), 9)
-    model.recover(crosstalk, LEVELS)
+    correction = correction_table(model.recover(crosstalk, LEVELS), 9)
     model.fit(crosstalk, correction, flat_template(), 0.02)
     return model, gains
 
@@ -115,9 +113,9 @@ def test_a_dark_frame_keeps_what_is_known(arch):
 def test_what_a_fit_takes_and_refuses(arch):
     """Every form of an array gives the same; and whatever was fitted before, a frame gives what it gives."""
     image, crosstalk = frame(2.0, 0.05), Crosstalk.of(MATRIX)
-    model, gains = fitted(image)
+    model, _ = fitted(image)
     first = model.template.copy(), runtime.to_host(model.nodes).copy()
-    correction, known = correction_table(count_phases(image, gains, crosstalk, LEVELS), 9), flat_template()
+    correction, known = correction_table(model.recover(crosstalk, LEVELS), 9), flat_template()
     for form in (np.copy, every_second, read_only, on_device):
         model.recover(crosstalk, LEVELS)
         model.fit(crosstalk, form(correction), form(known), 0.02)

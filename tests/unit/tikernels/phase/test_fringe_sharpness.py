@@ -14,7 +14,7 @@ from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.equalization import correction_table
 from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.fringe_sharpness import FringeSharpness
-from tikernels.phase.phase_fit import count_phases, fit_phase
+from tikernels.phase.phase_fit import fit_phase
 
 MATRIX = np.array(TYPICAL_CROSSTALK)
 DELAYS = np.array([-1, 0, 1]) * 2 * np.pi / 3
@@ -38,8 +38,7 @@ def decode(image: np.ndarray) -> tuple[ChannelModel, np.ndarray]:
     crosstalk, gains = Crosstalk.of(MATRIX), Gains(*SHAPE, PERIOD_PX)
     model = ChannelModel(gains)
     gains.measure(image, crosstalk, LEVELS)
-    correction = correction_table(count_phases(image, gains, crosstalk, LEVELS), 9)
-    model.recover(crosstalk, LEVELS)
+    correction = correction_table(model.recover(crosstalk, LEVELS), 9)
     model.fit(crosstalk, correction, flat_template(), 0.02)
     return model, runtime.to_host(fit_phase(image, model, crosstalk, LEVELS, correction, 0.02).phase)
 

@@ -14,7 +14,7 @@ from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.equalization import correction_table
 from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.model_variance import ContrastDoubt
-from tikernels.phase.phase_fit import count_phases, fit_phase
+from tikernels.phase.phase_fit import fit_phase
 from tikernels.phase.smoothing import _window, left_of_variance
 from tikernels.phase.surfaces import Surfaces
 from tikernels.phase.uncertainty import compare_rows, estimate_phase_sigma, phase_sigma
@@ -159,8 +159,7 @@ def test_another_colour_widens_its_own_part(cpu, mixed):
     gains = Gains(*shape, 12.3)
     model = ChannelModel(gains)
     gains.measure(image, crosstalk, levels)
-    correction = correction_table(count_phases(image, gains, crosstalk, levels), 9)
-    model.recover(crosstalk, levels)
+    correction = correction_table(model.recover(crosstalk, levels), 9)
     model.fit(crosstalk, correction, flat_template(), DOUBT.allowed)
     found = fit_phase(image, model, crosstalk, levels, correction, DOUBT.allowed)
     difference = reference.wrapped_difference(runtime.to_host(found.phase), truth)
