@@ -163,6 +163,8 @@ def border_at(
     last, first = labels[y, x], labels[y + dy, x + dx]
     if last >= 0 and (last >> ORDER_BITS) != (first >> ORDER_BITS):
         for before in range(_REACH):
+            if second < limits[2 * down]:  # it goes on, whatever the other places show
+                break
             y1, x1 = y - before * dy, x - before * dx
             y2, x2 = y1 + _REACH * dy, x1 + _REACH * dx
             if y1 >= 0 and x1 >= 0 and y2 < phase.shape[0] and x2 < phase.shape[1]:
