@@ -46,7 +46,7 @@ _ALONE = np.ones(1)
 # A whole neighbourhood, in cycles; a place that fits no surface counts no more than this against one there.
 _NEIGHBOURHOOD_CYCLES, _MOST_AROUND = 0.85, 4.0
 # So far from an edge between two places pixels are asked, px.
-_EDGE_PX = 8
+_EDGE_PX = 4
 # A surface of fewer pixels is none.
 LEAST_PX = 400
 # Nor is one of which no more than this share is inside: a mixture of two along their edge.
