@@ -56,24 +56,24 @@ class CarriedOrders:
         votes: npt.NDArray[np.int32],
         roots: npt.NDArray[np.int32],
         expected: FloatArray,
-        places: tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]],
+        places: npt.NDArray[np.int64],
     ) -> Self:
         """Measure by how much the phase of each region has changed since the frame before.
 
         Parameters
         ----------
         votes : (N, 5) int32
-            All of `vote_orders`'s.
+            `vote_orders`'s.
         roots : (P,) int32
             The patch that stands for the region of each patch.
         expected : (N,) float
             The change that they were taken with, cycles.
-        places : two (N,) int
+        places : (2, N) int
             Their rows and columns.
         """
         if len(self.roots) == 0:
             return self
-        vote = np.flatnonzero((votes[:, PATCH] >= 0) & (votes[:, SOUND] == 1))
+        vote = np.flatnonzero(votes[:, SOUND])
         region = np.minimum(np.searchsorted(self.roots, roots[votes[vote, PATCH]]), len(self.roots) - 1)
         agrees = self.roots[region] == roots[votes[vote, PATCH]]
         agrees &= votes[vote, LACKING] == self.offsets[region]
@@ -146,18 +146,14 @@ def choose_motion(
     taken_with : (N,) float
         The change that each is taken with now, cycles.
     """
-    if len(roots) == 0:  # of a frame without patches nobody votes
-        return votes, expected
-    voting = votes[:, PATCH] >= 0
-    root = roots[np.maximum(votes[:, PATCH], 0)]
+    root = roots[votes[:, PATCH]]
     lacking = votes[:, LACKING] + votes[:, REST] / RESTS_A_CYCLE - expected
     cycles = np.rint(lacking)
     rest = np.rint(RESTS_A_CYCLE * (lacking - cycles))
     void, void_at_rest = (
-        np.bincount(root[voting], np.abs(left[voting]) >= RESTS_A_CYCLE * _MAX_CHANGE, len(roots))
-        for left in (votes[:, REST], rest)
+        np.bincount(root, np.abs(left) >= RESTS_A_CYCLE * _MAX_CHANGE, len(roots)) for left in (votes[:, REST], rest)
     )
-    at_rest = voting & (void_at_rest < void)[root]
+    at_rest = (void_at_rest < void)[root]
     chosen = votes.copy(order="K")
     chosen[at_rest, LACKING], chosen[at_rest, REST] = cycles[at_rest], rest[at_rest]
     return chosen, np.where(at_rest, 0.0, expected)
@@ -183,8 +179,6 @@ def count_votes(
     taken_with = np.zeros(len(votes)) if taken_with is None else taken_with
     change = taken_with - votes[:, REST] / RESTS_A_CYCLE  # votes lack what the phase has gained
     surprise = change - (taken_with if expected is None else expected)
-    voting = votes[:, PATCH] >= 0
-    votes, change, surprise = _rows(votes, voting), change[voting], surprise[voting]
     root = roots[votes[:, PATCH]].astype(np.int64)
     sound = np.bincount(root, votes[:, SOUND], len(roots)) >= _MIN_VOTES
     counting = (votes[:, SOUND] == 1) | ~sound[root]
@@ -269,7 +263,7 @@ def split_by_votes(
     (P,) int32
         The patch that stands for the part of each patch.
     """
-    votes = _rows(votes, (votes[:, PATCH] >= 0) & (votes[:, SOUND] == 1))
+    votes = _rows(votes, votes[:, SOUND] == 1)
     if len(votes) == 0:
         return graph.root
     # The offsets in use, known ones and others, the commonest first: hardly any frame has more than a few.

@@ -25,7 +25,7 @@ from pipeline.orders.stripe_columns import StripeColumns
 from tikernels import runtime
 from tikernels.arrays import F32, LevelsImage
 from tikernels.order_evidence import correct_by_modulation, measure_contrast, vote_orders
-from tikernels.order_evidence.order_votes import BEFORE, vote_places
+from tikernels.order_evidence.order_votes import BEFORE
 from tikernels.phase.color_balance import Gains
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.equalization import modulation_tables
@@ -222,8 +222,8 @@ class OrderFinder:
                     warning, memory = _moved(found.shift_px), None
         if memory is not None:
             change = memory.orders.change
-            votes = vote_orders(seen.phase, patches, memory.surface.unwrapped, memory.surface.region, change)
-            places = vote_places(patches.shape)
+            before = (memory.surface.unwrapped, memory.surface.region)
+            votes, places = vote_orders(seen.phase, patches, *before, change)
             constant, along, across = change[votes[:, BEFORE]].T / (2 * np.pi)
             expected = constant + along * places[1] + across * places[0]
             # What a code has split it knows better.

@@ -99,17 +99,17 @@ def vote_orders_kernel(
 
 
 @functools.cache
-def vote_places(shape: tuple[int, int]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Return the row and the column of every vote in an image of this shape."""
+def _vote_places(shape: tuple[int, int]) -> npt.NDArray[np.int64]:
+    """Return the row and the column of every pixel that may vote in an image of this shape, (2, N)."""
     vote = np.arange(cells_of(*shape)[0] * cells_of(*shape)[1] * VOTES_A_CELL)
     (row, column), place = np.divmod(vote // VOTES_A_CELL, cells_of(*shape)[1]), vote % VOTES_A_CELL
     across = CELL_WIDTH // 4
-    return row * CELL_HEIGHT + 4 * (place // across) + 1, column * CELL_WIDTH + 4 * (place % across) + 1
+    return np.stack([row * CELL_HEIGHT + 4 * (place // across) + 1, column * CELL_WIDTH + 4 * (place % across) + 1])
 
 
 def vote_orders(
     phase: F32, patches: Patches, unwrapped_before: F32, region_before: I32, change: npt.NDArray[np.float32]
-) -> npt.NDArray[np.int32]:
+) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int64]]:
     """Let pixels vote for the whole cycles that their patches lack to agree with the frame before.
 
     Parameters
@@ -128,9 +128,11 @@ def vote_orders(
 
     Returns
     -------
-    (cells * VOTES_A_CELL, 5) int32
-        Patch (-1: no vote), whole cycles lacking, what is left over in RESTS_A_CYCLE, region there before, and 1
-        where the vote is sound. Column by column in memory.
+    votes : (N, 5) int32
+        Patch, whole cycles lacking, what is left over in RESTS_A_CYCLE, region there before, and 1 where the vote is
+        sound. Column by column in memory.
+    places : (2, N) int64
+        Row and column of each.
 
     Raises
     ------
@@ -144,4 +146,6 @@ def vote_orders(
     votes = runtime.empty((5, patches.cells * VOTES_A_CELL), np.int32)
     of_patches = (patches.labels, patches.cell_table, patches.draft_bits, patches.table)
     vote_orders_kernel(phase, *of_patches, before, region_before, change, votes)
-    return runtime.to_host(votes).T  # synchronises
+    cast = runtime.to_host(votes)  # synchronises
+    voting = np.flatnonzero(cast[PATCH] >= 0)
+    return cast[:, voting].T, _vote_places(patches.shape)[:, voting]

@@ -8,7 +8,7 @@ from support.wrapped_surfaces import drafts_and_orders, join, surface
 import tikernels
 from tikernels import runtime
 from tikernels.order_evidence import vote_orders
-from tikernels.order_evidence.order_votes import BEFORE, LACKING, PATCH, REST, SOUND, VOTES_A_CELL, vote_places
+from tikernels.order_evidence.order_votes import BEFORE, LACKING, PATCH, REST, SOUND, VOTES_A_CELL
 from tikernels.phase.wrapped_phase import NO_PHASE
 from tikernels.unwrapping.tables import cells_of, numbers_of
 
@@ -23,24 +23,23 @@ def voters(shape: tuple[int, int]) -> np.ndarray:
 
 
 def twin(phase, patches, before, region_before):
-    """Return the votes, pixel by pixel."""
+    """Return the votes, pixel by pixel, and their places."""
     graph = patches.graph()
     drafts, order = drafts_and_orders(runtime.to_host(patches.labels))
     number = numbers_of(drafts, runtime.to_host(patches.cell_table), patches.draft_bits)
-    votes = []
+    votes, places = [], []
     for y, x in voters(phase.shape):
         if not (y < phase.shape[0] and x < phase.shape[1]):
-            votes.append((-1, 0, 0, 0, 0))
             continue
         region = region_before[y, x]
         if drafts[y, x] < 0 or region == 0:
-            votes.append((-1, 0, 0, region, 0))
             continue
+        places.append((y, x))
         patch = number[y, x]
         lacking = (before[y, x] - phase[y, x]) / (2 * np.pi) - order[y, x] - graph.offset[patch]
         rest = 64 * (lacking - np.rint(lacking))
         votes.append((patch, int(np.rint(lacking)), rest, region, smooth(before, y, x)))
-    return np.array(votes)
+    return np.array(votes), np.transpose(places)
 
 
 def smooth(before, y, x) -> bool:
@@ -66,9 +65,9 @@ def test_as_the_twin(arch, shape):
     before[rng.random(shape) < 0.01] = np.nan
     region = np.where(np.isnan(before), 0, rng.integers(1, 4, shape)).astype(np.int32)
     patches, _ = join(phase)
-    votes = vote_orders(phase, patches, before, region, NO_CHANGE)
-    expected = twin(phase.astype(np.float64), patches, before.astype(np.float64), region)
-    assert votes.shape == (patches.cells * VOTES_A_CELL, 5)
+    votes, places = vote_orders(phase, patches, before, region, NO_CHANGE)
+    expected, at = twin(phase.astype(np.float64), patches, before.astype(np.float64), region)
+    np.testing.assert_array_equal(places, at)
     np.testing.assert_array_equal(votes[:, [PATCH, LACKING, BEFORE, SOUND]], expected[:, [0, 1, 3, 4]])
     np.testing.assert_allclose(votes[:, REST], expected[:, 2], atol=0.501)  # rounded to 64ths of a cycle
 
@@ -85,7 +84,7 @@ def test_a_surface_that_has_moved_lacks_its_cycles(arch):
     constant = np.rint((true[y, x] - now) / (2 * np.pi))
     assert np.ptp(constant) == 0
     before = (true + 2 * np.pi * 7.25).astype(np.float32)
-    votes = vote_orders(phase, patches, before, np.ones(true.shape, np.int32), NO_CHANGE)
+    votes, _ = vote_orders(phase, patches, before, np.ones(true.shape, np.int32), NO_CHANGE)
     sound = votes[votes[:, SOUND] == 1]
     assert len(sound) > 0.5 * len(votes)
     assert (sound[:, LACKING] == 7 + constant[0]).all() and (np.abs(sound[:, REST] - 16) <= 1).all()
@@ -98,16 +97,11 @@ def test_votes_are_taken_with_the_change_that_is_expected(arch):
     change = np.array([[0, 0, 0], [1.2 * np.pi, 0.02, -0.01]], np.float32)
     y, x = np.indices(true.shape)
     before = true - (change[1, 0] + change[1, 1] * x + change[1, 2] * y)
-    votes = vote_orders(
+    votes, _ = vote_orders(
         reference.wrapped(true), patches, before.astype(np.float32), np.ones(true.shape, np.int32), change
     )
     sound = votes[votes[:, SOUND] == 1]
     assert np.ptp(sound[:, LACKING]) == 0 and np.abs(sound[:, REST]).max() <= 1
-
-
-@pytest.mark.parametrize("shape", [(97, 131), (33, 41)])
-def test_votes_have_their_places(shape):
-    np.testing.assert_array_equal(np.stack(vote_places(shape), axis=1), voters(shape))
 
 
 def test_what_is_refused(arch):
