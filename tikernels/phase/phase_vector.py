@@ -74,15 +74,9 @@ def phase_vector(light: vec3) -> vec3:
 
 
 @ti.func
-def squared_modulation(vector: vec3) -> f32:
-    """Return the square of b, given b cos(phi), b sin(phi) and the background: what is only compared needs no root."""
-    return vector.x * vector.x + vector.y * vector.y
-
-
-@ti.func
 def modulation_of(vector: vec3) -> f32:
     """Return b, given b cos(phi), b sin(phi) and the background."""
-    return ti.sqrt(squared_modulation(vector))
+    return ti.sqrt(vector.x * vector.x + vector.y * vector.y)
 
 
 def channel_delays(lag: npt.NDArray[np.float64] | None = None) -> npt.NDArray[np.float64]:
