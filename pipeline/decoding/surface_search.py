@@ -54,8 +54,8 @@ _BETTER, _MUCH_BETTER = 0.3, 1.0
 # one's a little, as far as the light is not known.
 _ALIKE = 0.1
 # If the largest surface is off by more than this, the search has failed. Demosaicking and JPEG make up to 0.03, where
-# phases without surfaces are off up to four times as much; a calibration of another rig makes 0.06 and more.
-_CONTRADICTED = 0.05
+# phases without surfaces are off up to four times as much; a calibration of another rig makes 0.05 and more.
+_CONTRADICTED = 0.04
 # Surfaces that are off by more than this, on more than this share of what is lit, are told of: on spots and highlights
 # `phase_sigma` is larger, but a fluorescent paint has another constant.
 _ODD, _ODD_SHARE = 0.025, 0.02
