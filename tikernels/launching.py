@@ -7,6 +7,7 @@ same types only pointers, shapes and numbers change. So its context is kept, and
 
 import contextlib
 import functools
+import gc
 import threading
 import weakref
 from collections.abc import Callable, Iterator
@@ -146,17 +147,20 @@ class _Compiling:
 
     @contextlib.contextmanager
     def configured(self) -> Iterator[None]:
-        """Configure the compiler so in the body."""
+        """Configure the compiler so in the body, and collect no garbage: most of what is made there is kept."""
         config = ti.lang.impl.current_cfg()
         chosen = {"real_matrix_scalarize": not self.whole_vectors or traffic.on_device}
         if TESTED:
             chosen["cfg_optimization"] = self.flow_analysis or traffic.on_device
-        before = {name: getattr(config, name) for name in chosen}
+        before, collects = {name: getattr(config, name) for name in chosen}, gc.isenabled()
+        gc.disable()
         for name, value in chosen.items():
             setattr(config, name, value)
         try:
             yield
         finally:
+            if collects:
+                gc.enable()
             for name, value in before.items():
                 setattr(config, name, value)
 

@@ -102,12 +102,11 @@ def smooth_across_kernel(
     for t in range(out.shape[0] * strip_count(out.shape[1] * out.shape[2], _STRIP)):
         i, place, count = strip_at(t, out.shape[1] * out.shape[2], _STRIP)
         total = numbers(0.0)
-        for tap in range(taps.shape[0]):
-            above, below = 2 * i - tap, 2 * i + 1 + tap
-            if above >= 0:
-                add_shifted(total, taps[tap], sums, above, place, 0, count)
-            if below < sums.shape[0]:
-                add_shifted(total, taps[tap], sums, below, place, 0, count)
+        for step in range(2 * taps.shape[0]):  # up and down in turns
+            tap = step // 2
+            row = ti.select(step % 2 == 0, 2 * i - tap, 2 * i + 1 + tap)
+            if row >= 0 and row < sums.shape[0]:
+                add_shifted(total, taps[tap], sums, row, place, 0, count)
         for k in range(count):
             out[i, 0, place + k] = total[k]
 
@@ -123,10 +122,9 @@ def smooth_along_kernel(
         row = out.shape[1] * out.shape[2]
         i, place, count = strip_at(t, row, _STRIP)
         total = numbers(0.0)
-        add_shifted(total, taps[0], sums, i, place, 0, count)
-        for tap in range(1, taps.shape[0]):
-            shift = tap * out.shape[2]
-            add_shifted(total, taps[tap], sums, i, place - shift, ti.max(shift - place, 0), count)
-            add_shifted(total, taps[tap], sums, i, place + shift, 0, ti.min(row - place - shift, count))
+        for step in range(1, 2 * taps.shape[0]):  # to the left and right in turns
+            tap = step // 2
+            first = place + ti.select(step % 2 == 0, -tap, tap) * out.shape[2]
+            add_shifted(total, taps[tap], sums, i, first, ti.max(-first, 0), ti.min(row - first, count))
         for k in range(count):
             out[i, 0, place + k] = total[k]

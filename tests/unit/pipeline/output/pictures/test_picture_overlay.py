@@ -1,9 +1,5 @@
 """Letters, colour bars and scale bars in pictures."""
 
-import os
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 
@@ -160,12 +156,3 @@ def test_the_label_is_in_the_upper_left_corner():
 @pytest.mark.parametrize(("most", "length"), [(73.0, 50.0), (50.0, 50.0), (0.19, 0.1), (2.0, 2.0), (1999.0, 1000.0)])
 def test_round_lengths(most, length):
     assert round_length(most) == pytest.approx(length)
-
-
-def test_a_home_that_cannot_be_written_is_not_told_of_by_matplotlib(tmp_path):
-    (tmp_path / "file").touch()
-    nowhere = dict.fromkeys(("HOME", "XDG_CONFIG_HOME", "XDG_CACHE_HOME", "MPLCONFIGDIR"), str(tmp_path / "file"))
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), **nowhere}
-    program = "from pipeline.output.pictures import picture_overlay; picture_overlay._font()"
-    done = subprocess.run([sys.executable, "-c", program], stderr=subprocess.PIPE, text=True, env=environment)
-    assert (done.returncode, done.stderr) == (0, "")
