@@ -16,6 +16,7 @@ from pipeline.models import FloatArray
 from pipeline.orders.code_blocks import Blocks
 from pipeline.orders.posterior import NOTHING_KNOWN, Integers, Posterior
 from pipeline.orders.stripe_columns import StripeColumns, column_at
+from pipeline.robust import robust_sigma
 from tikernels.order_evidence.contrast_reading import BLOCK_WIDTH
 from tikernels.order_evidence.factor_fit import EVEN, FITTED, LEVELS, ROWS, Fitted, Row, fit_factors, flatten
 from tikernels.unwrapping.tables import CELL_HEIGHT
@@ -50,6 +51,8 @@ _OFF, _OF_NEIGHBOURS = 0.02, 0.6
 _NAMED = 3
 # So many of the largest parts tell what all parts of a frame have in common.
 _TELLING = 3
+# By how many standard deviations a block may be off where it is compared with those beside it.
+_MOST_APART = 3.0
 # Outside every code.
 _NO_ORDER = -1e6
 
@@ -164,6 +167,8 @@ class CodeReader:
         #: (gammas, cycles, places)
         self.levels = code.levels(width_px, self.cycles)
         self._gamma = GAMMAS.index(2.0)
+        #: As how many each block counts under a code of cells.
+        self._each_counts = 1.0
         self._any_of: dict[int, npt.NDArray[np.float32]] = {}  # by response; see `fit_factors`
 
     @property
@@ -242,7 +247,7 @@ class CodeReader:
     def _counts(self, values: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         """Return as how many each of a part's blocks (ROWS, n) counts."""
         if self.code.cell_px is not None:
-            return np.ones(values.shape[1], np.float32)
+            return np.full(values.shape[1], self._each_counts, np.float32)
         precision = 1 / (values[Row.VARIANCE] + FITTED**2)
         cycle = (values[Row.ORDER] - values[Row.ORDER].min()).astype(np.int64)
         return np.asarray(np.minimum(1.0, OF_CYCLE * precision / np.bincount(cycle, precision)[cycle]))
@@ -336,6 +341,8 @@ class CodeReader:
         self._gain = float(np.median([gain for _, gain in found]))
         self.shift_px = self._shift_near(parts, [int(offset) for offset, _ in found])
         self._move(0.0 if self.is_far else self.shift_px)
+        if not self.is_far:
+            self._each_counts = self._independence(largest, [int(offset) for offset, _ in found])
         more, weighed = 0.0, 0
         for some in largest:
             read = self.read(some)
@@ -363,6 +370,29 @@ class CodeReader:
             total += self._fit(_thinned(part.values, _SOME), np.full(_SHIFTS, offset), shifts_px=shifts).likelihood
         return _peak(shifts, total)
 
+    def _independence(self, parts: list[Integers], offsets: list[int]) -> float:
+        """Return as how many each block counts: as fewer, the more alike those side by side deviate from the code.
+
+        Paint and compression make them do so. It is taken from the largest parts, at these offsets.
+        """
+        if self.code.cell_px is None:
+            return 1.0
+        alike, alone = 0.0, FITTED**2
+        for which, offset in zip(parts, offsets, strict=True):
+            part, here, orders = self._part(which), np.array([offset]), self.blocks.order[which]
+            terms = self._fit(_thinned(part.values, _SOME), here).terms
+            departs = self._flat(part, here, terms, _AROUND, 1)[0] - self.expected(which, orders + offset)[0]
+            departs -= np.median(departs)
+            most = _MOST_APART * robust_sigma(departs)
+            departs = np.clip(departs, -most, most)
+            column = part.cells[1]
+            sort = np.lexsort((column, orders))
+            beside = (np.diff(orders[sort]) == 0) & (np.diff(column[sort]) == 1)
+            one, other = departs[sort[:-1][beside]], departs[sort[1:][beside]]
+            alike += float(one @ other)
+            alone += float(one @ one + other @ other) / 2
+        return 1 / (1 + 2 * max(alike / alone, 0.0))
+
     @property
     def is_far(self) -> bool:
         """Whether the code lies too far off to be read there."""
@@ -371,12 +401,12 @@ class CodeReader:
     def shift_anywhere(self) -> float | None:
         """Return the shift over half a repeat of the code either way, whatever the offsets; None: nothing tells.
 
-        Elsewhere nothing tells the response either: a linear and the usual one are tried.
+        Elsewhere nothing tells the response either: a linear and the usual one are tried; and each block counts.
         """
         if self.code.cell_px is None:
             return None
         shifts, own = np.arange(-0.5, 0.5, 0.25 / WORD_CELLS) * self.code.repeats_px, self._gamma
-        totals = np.zeros((2, len(shifts)))
+        totals, counts, self._each_counts = np.zeros((2, len(shifts))), self._each_counts, 1.0
         for total, self._gamma in zip(totals, (GAMMAS.index(1.0), GAMMAS.index(2.0)), strict=True):
             for some in self._largest():
                 few, offsets = _thinned(self._part(some).values, _FEW), self.offsets(some)
@@ -384,7 +414,7 @@ class CodeReader:
                 by_offset = self._fit(few, each, shifts_px=further).likelihood.reshape(len(offsets), -1)
                 even, other, _ = self._fit_with_even(few, offsets[:0])
                 total += np.logaddexp.reduce(by_offset, axis=0) - np.log(len(offsets)) - np.logaddexp(even, other)
-        total, self._gamma = totals[totals.max(axis=1).argmax()], own
+        total, self._gamma, self._each_counts = totals[totals.max(axis=1).argmax()], own, counts
         off = np.abs(shifts - shifts[total.argmax()])
         elsewhere = total[np.minimum(off, self.code.repeats_px - off) > self.code.cell_px].max()
         if total.max() - max(elsewhere, 0.0) <= _SURE_SHIFT:
@@ -401,7 +431,8 @@ class CodeReader:
 
     def again(self, other: "CodeReader") -> "CodeReader":
         """Return the reader of other blocks of the frame with what was learnt of it."""
-        other._gamma, other._gain, other.trust, other.shift_px = self._gamma, self._gain, self.trust, self.shift_px
+        other._gamma, other._gain, other._each_counts = self._gamma, self._gain, self._each_counts
+        other.trust, other.shift_px = self.trust, self.shift_px
         other._move(self.shift_px)
         other._parts = self._parts
         return other

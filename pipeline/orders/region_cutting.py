@@ -99,7 +99,7 @@ def cut_regions(
         shares = number[blocks.block[shares]], holder, blocks.share[shares]
         cells = graph.first[patches] // width // CELL_HEIGHT, graph.first[patches] % width // CELL_WIDTH
         shown = _shown(reader, own, shares, offsets, cells)
-        labels = _labels(shown, Links.of(ends, len(patches)), support)
+        labels = _labels(shown, ends, support)
         if labels is None:
             continue
         whole = labels[ends[0]] == labels[ends[1]]
@@ -122,8 +122,9 @@ class _Shown(NamedTuple):
 
     evidence: OffsetEvidence
     own: int  # the region's offset, counted from the first one
-    by_window: npt.NDArray[np.int32]  # (P,) the offset that a window shows; -1: none other
-    named: Integers  # (K,) these offsets, the surest first
+    window: Integers  # (P,) number of the window that shows another offset; -1: none
+    named: Integers  # (K,) the offset that each window shows, the surest first
+    gain: npt.NDArray[np.float32]  # (K,) by how much that is better, in variances
 
 
 def _shown(
@@ -153,14 +154,26 @@ def _shown(
     return _Shown(evidence, number, *found)
 
 
-def _labels(shown: _Shown, links: Links, support: FloatArray) -> npt.NDArray[np.int32] | None:
-    """Label a region's patches with the offsets that their blocks name, 0 for the region's own; None: all have that."""
+def _labels(shown: _Shown, ends: Integers, support: FloatArray) -> npt.NDArray[np.int32] | None:
+    """Label a region's patches with the offsets that their blocks name, 0 for the region's own; None: all have that.
+
+    The border of a window costs at most half of what the window shows: a surface that is one patch wide has as many
+    contacts with what is behind it as it has blocks.
+    """
     if len(shown.named) == 0:
         return None
-    candidates = np.append(shown.own, shown.named[:_CANDIDATES])
+    links = Links.of(ends, len(shown.window))
+    candidates = np.append(shown.own, list(dict.fromkeys(shown.named.tolist()))[:_CANDIDATES])
     alone = shown.evidence.of(candidates)
     first = pool_evidence(alone, links, support).argmin(axis=1)
+    by_window = np.append(shown.named, -1)[shown.window]
     for label, offset in enumerate(candidates[1:], start=1):
-        first[shown.by_window == offset] = label
-    labels = settle_labels(alone, first, links, _LABEL_COST * np.maximum(support, _LEAST_SUPPORT))
+        first[by_window == offset] = label
+    costs = _LABEL_COST * np.maximum(support, _LEAST_SUPPORT)
+    border = by_window[ends[0]] != by_window[ends[1]]
+    beside = shown.window[ends[:, border]]
+    total = np.bincount(beside.ravel() + 1, np.tile(costs[border], 2), len(shown.named) + 1)
+    share = np.append(1.0, np.minimum(1.0, shown.gain / (2 * np.maximum(total[1:], _LABEL_COST))))
+    costs[border] *= share[beside + 1].min(axis=0)
+    labels = settle_labels(alone, first, links, costs)
     return None if (labels == 0).all() else labels

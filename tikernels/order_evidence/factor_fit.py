@@ -32,9 +32,10 @@ from tikernels._taichi import (
 from tikernels.launching import kernel
 from tikernels.unwrapping.tables import add_alone
 
-#: What a block's contrast deviates by beside the camera's noise (natural logarithm), each twice the one before, and the
-#: one that is fitted with.
-SPREADS = (0.006, 0.012, 0.024, 0.048)
+#: What a block's contrast deviates by beside the camera's noise (natural logarithm), each so many times the one before,
+#: and the one that is fitted with.
+_RATIO = 2.2
+SPREADS = tuple(0.009 * _RATIO**k for k in range(4))
 FITTED = 0.016
 # How probably a block shows something else than the code, and how far that then lies off.
 _OTHER, _OTHER_SIGMA = 0.15, 0.2
@@ -183,10 +184,11 @@ def any_level(values: Static, left: Static, any_of: Static, f: i32, by_cycle: i3
     """Return the logarithm of the likelihood if each block, or each cycle, has one of the levels by itself."""
     shown, total, last = vec32(0.0), vec4(0.0), left.shape[1] - 1
     for n in range(last + 1):
+        spread = SPREADS[0]
         for k in range(4 * LEVELS):
-            spread = SPREADS[0] * (1 << k // LEVELS)
             density = log_density(left[f, n] - any_of[1 + k % LEVELS], values[Row.VARIANCE, n], spread)
             shown[k] += values[Row.COUNTS, n] * density
+            spread *= ti.select(k % LEVELS == LEVELS - 1, _RATIO, 1.0)
         if by_cycle == 0 or n == last or values[Row.ORDER, n] != values[Row.ORDER, ti.min(n + 1, last)]:
             for spread in ti.static(range(4)):
                 mean = 0.0

@@ -290,7 +290,7 @@ def find_other_offsets(
     *,
     common: float,
     least: float,
-) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int64]]:
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.float32]]:
     """Find windows whose blocks show another offset than the region's; where they overlap the one that shows it best.
 
     Parameters
@@ -312,10 +312,12 @@ def find_other_offsets(
 
     Returns
     -------
-    (P,) int32
-        The offset that a patch's window shows, -1 without one.
+    (P,) int64
+        Number of each patch's window, -1 without one.
     (K,) int64
-        These offsets, that of the best window first.
+        The offset that each window shows, the best window first.
+    (K,) float32
+        By how much it is better, in variances.
     """
     row, column = (np.asarray(place - place.min(), np.int64) for place in cells)
     rows, columns = int(row.max()) + 1, int(column.max()) + 1
@@ -334,14 +336,16 @@ def find_other_offsets(
     summed = weights.reshape(-1, 1), tables[0], tables[1]
     scan_windows_kernel(windows, *summed, evidence.offsets, own, common, least, gain, offset)
     gain *= counts[:, None, None]
-    shown, named = np.full((rows, columns), -1, np.int32), []
+    of_window = np.full((rows, columns), -1, np.int64)
+    chosen: list[tuple[int, int, int]] = []
     found = np.nonzero(gain > least)
     for w, top, left in np.transpose(found)[np.argsort(-gain[found], kind="stable")]:
         window = np.s_[top : top + windows[w, 0], left : left + windows[w, 1]]
-        if (shown[window] < 0).all():
-            shown[window] = offset[w, top, left]
-            named.append(offset[w, top, left])
-    return shown[row, column], np.array(list(dict.fromkeys(named)), np.int64)
+        if (of_window[window] < 0).all():
+            of_window[window] = len(chosen)
+            chosen.append((w, top, left))
+    best = tuple(np.array(chosen, np.int64).reshape(-1, 3).T)
+    return of_window[row, column], offset[best].astype(np.int64), gain[best]
 
 
 def pool_evidence(

@@ -12,6 +12,8 @@ from pipeline.orders.code_blocks import Blocks
 from pipeline.orders.code_evidence import CodeReader, Factor
 from pipeline.orders.posterior import NOTHING_KNOWN
 from pipeline.orders.stripe_columns import column_at
+from tikernels.order_evidence.contrast_reading import BLOCK_WIDTH
+from tikernels.unwrapping.tables import CELL_HEIGHT
 
 # Patches, cycles by columns of two blocks, that name their place, and that do not.
 ENOUGH, FEW = {"contrast": (7, 6), "contrast2": (2, 4)}, {"contrast": (4, 6), "contrast2": (1, 3)}
@@ -69,6 +71,21 @@ def test_a_part_without_blocks(name):
     reader = reader_of(name, 2, 2, 0)
     (nothing,) = reader.read_all(np.array([7]))
     assert nothing.posterior(0.0, 0.0, 0.0) is NOTHING_KNOWN and nothing.best == 0
+
+
+def test_blocks_that_deviate_alike_count_less():
+    """Pairs of blocks of a print are half as much evidence as blocks that deviate each by itself."""
+    blocks, context, sure = reader_of("contrast2", 12, 12, 9).blocks, code_and_columns("contrast2"), {1: 0.0, 2: 0.0}
+    for alike, seed in product(sure, range(4)):
+        row, column = (blocks.place // (CELL_HEIGHT, BLOCK_WIDTH * alike)).astype(int).T
+        off = np.random.default_rng(seed).normal(0, 0.03, (row.max() + 1, column.max() + 1))[row, column]
+        reader = CodeReader(replace(blocks, contrast=blocks.contrast + off), *context)
+        assert reader.learn()
+        evidence = reader.read(all_of(reader))
+        assert evidence.best == 9
+        second, best = np.sort(evidence.likelihood)[-2:]
+        sure[alike] += best - second
+    assert 0.3 * sure[1] < sure[2] < 0.7 * sure[1]
 
 
 @each_code
@@ -224,13 +241,13 @@ def test_the_offsets_that_the_pattern_leaves(name):
 def test_a_shift_of_less_than_half_a_cell(shift_px):
     """Of 8.7 px; a quarter of it is too far to be believed."""
     reader = reader_of("contrast2", 10, 12, 20, shift_px=shift_px)
-    before, places = reader.read(all_of(reader)).likelihood.max(), reader.columns[:, 0].copy()
-    assert reader.learn()
+    places = reader.columns[:, 0].copy()
+    assert reader.learn() or reader.is_far
     assert reader.shift_px == pytest.approx(shift_px, abs=0.25)
     assert reader.is_far == (abs(shift_px) > CELL_PX / 4)
     moved = 0.0 if reader.is_far else reader.shift_px
     np.testing.assert_allclose(reader.columns[:, 0] - places, moved, atol=1e-4)
-    assert reader.read(all_of(reader)).likelihood.max() > before or abs(moved) < 0.25
+    assert reader.is_far or reader.read(all_of(reader)).best == 20
 
 
 @pytest.mark.parametrize("shift_px", [-40.0, -8.0, 16.0, 60.0])
@@ -239,7 +256,7 @@ def test_a_shift_anywhere(shift_px, gamma):
     """Whatever the response is taken to be by what is read where the code is not."""
     reader = reader_of("contrast2", 10, 12, 20, shift_px=shift_px, gamma=gamma)
     assert not reader.learn()
-    assert reader.shift_anywhere() == pytest.approx(shift_px, abs=0.5)
+    assert reader.shift_anywhere() == pytest.approx(shift_px, abs=0.6)
 
 
 def test_no_shift_of_what_shows_no_code():

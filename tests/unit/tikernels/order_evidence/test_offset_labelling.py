@@ -71,16 +71,18 @@ def test_windows_as_the_twin(arch):
                 remains = squares[within].sum(axis=0)
                 remains -= departs[within].sum(axis=0) ** 2 / (evidence.weight[within].sum() + 1 / common)
                 found.append((count * (remains[own] - remains.min()), within, remains.argmin()))
-    expected, named = np.full(COUNT, -1), []
+    expected, named, better = np.full(COUNT, -1), [], []
     for gain, within, offset in sorted(found, key=lambda window: -window[0]):
         if gain > 2.0 and (expected[within] < 0).all():
-            expected[within] = offset
+            expected[within] = len(named)
             named.append(offset)
+            better.append(gain)
     assert len(named) > 4
     chosen = {"common": common, "least": 2.0}
-    shown, offsets = find_other_offsets(evidence, (row + 7, column + 2), own, windows, counts, **chosen)
-    np.testing.assert_array_equal(shown, expected)
-    np.testing.assert_array_equal(offsets, list(dict.fromkeys(named)))
+    window, offsets, gain = find_other_offsets(evidence, (row + 7, column + 2), own, windows, counts, **chosen)
+    np.testing.assert_array_equal(window, expected)
+    np.testing.assert_array_equal(offsets, named)
+    np.testing.assert_allclose(gain, better, rtol=1e-4)
 
 
 def test_what_is_pooled_as_the_twin(arch):
