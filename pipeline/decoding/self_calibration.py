@@ -39,29 +39,28 @@ from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.equalization import correction_table, resolved_harmonics
 from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.phase_fit import count_phases
+from tikernels.phase.projector_response import response_table
 from tikernels.phase.wrapped_phase import LEAST_NO_PHASE
 
 _Singles = npt.NDArray[np.float32]
 _Complexes = npt.NDArray[np.complex128]
 
-_DELAYS = np.array(CHANNEL_PHASES)
-_TURNS = np.exp(1j * _DELAYS)
-# Harmonics of the phase's ripple, and of the response; groups of image tiles for the jackknife; rounds of balance.
-_RIPPLES, _HARMONICS, _GROUPS, _ROUNDS = 6, 5, 8, 2
+_TURNS = np.exp(1j * np.array(CHANNEL_PHASES))
+# Harmonics of the response; groups of image tiles for the jackknife; rounds of balance.
+_HARMONICS, _GROUPS, _ROUNDS = 5, 8, 2
+_ORDERS = np.arange(1, _HARMONICS + 1)
 # Of the first harmonic, over the cycles in view: what the jackknife does not see (steps, window, shape).
 _FLOOR = 0.1
-_TRUE = np.linspace(-np.pi, np.pi, 720, endpoint=False)
 _MIN_CYCLES = 4.0
 # Samples of the balance, at least: of each group, three for each number that is fitted.
 _MIN_SAMPLES = _GROUPS * 3 * (1 + 2 * _HARMONICS)
-# Of a window that is emptier, the mean brightness has too much of the fringe in it.
-_FILLED = 0.5
+# Of a window that is emptier, the mean brightness has too much of the fringe in it; where a cycle's mean differs by
+# more, as a fraction, the window reaches beyond the edge of a surface.
+_FILLED, _UNEVEN = 0.5, 0.1
 # What is usual: a turn of the phase, rad, and how far a_3, a_4, a_5 over a_1 deviate from a power law's.
 _TURN_PRIOR, _RESPONSE_PRIOR = 0.1, 0.03
 # A turn less sure than this, rad, or a rest beyond it, leaves the phase's constant unknown.
 _MAX_CONSTANT = 0.03
-# Of an estimate's arrays; all else are numbers.
-_SHAPES = {"crosstalk_matrix": (3, 3), "crosstalk_sigma": (3, 3), "response": (256,), "correction": (257,)}
 # No rig leaks more than this of a colour.
 _MAX_LEAK = 0.4
 
@@ -92,60 +91,17 @@ class LightEstimate:
     reliable: bool
     """Whether decoding is better off with it."""
 
-    def as_json(self) -> dict[str, Any]:
-        """Return what `from_json` reads, every digit of it; what is not finite becomes null."""
-        json: dict[str, Any] = {}
-        for name, value in vars(self).items():
-            plain = np.asarray(value, object)
-            plain[~np.isfinite(np.asarray(value))] = None
-            json[name] = plain.tolist()
-        return json
-
-    @classmethod
-    def from_json(cls, values: dict[str, Any]) -> "LightEstimate":
-        """Return what `as_json` wrote; null becomes NaN.
-
-        Raises
-        ------
-        ValueError
-            It is something else.
-        """
-        kinds: dict[str, Any] = {"correction": np.float32, "constant_known": np.bool_, "reliable": np.bool_}
-        try:
-            arrays = {name: np.array(value, kinds.get(name, np.float64)) for name, value in values.items()}
-            fields: dict[str, Any] = {name: array if array.ndim else array.item() for name, array in arrays.items()}
-            estimate = cls(**fields)
-        except (TypeError, AttributeError, OverflowError) as error:
-            raise ValueError(str(error)) from None
-        if any(np.shape(value) != _SHAPES.get(name, ()) for name, value in vars(estimate).items()):
-            raise ValueError("its arrays have other shapes")
-        return estimate
-
-
-def _wrap(phase: Any) -> Any:
-    return phase - 2 * np.pi * np.round(phase / (2 * np.pi))
-
-
-def _shift(harmonics: FloatArray, phase: FloatArray) -> FloatArray:
-    """Return how far the arctangent is off for light with these response harmonics, (N,)."""
-    n = np.arange(1, np.shape(harmonics)[-1] + 1)
-    light = (np.cos(n * (phase[:, None, None] + _DELAYS[:, None])) * harmonics).sum(-1)
-    return np.asarray(np.angle(light @ _TURNS.conj() * np.exp(-1j * phase)))
-
-
-def _undo(shift: FloatArray, seen: FloatArray) -> FloatArray:
-    """Return what to add to seen phases, given the shift of a whole turn of true ones from -pi on."""
-    true = np.linspace(-np.pi, np.pi, len(shift), endpoint=False)
-    steps = np.concatenate([true - 2 * np.pi, true, true + 2 * np.pi]) + np.tile(shift, 3)
-    return np.asarray(-np.interp(_wrap(seen), steps, np.tile(shift, 3)))
-
-
 def _response_curve(harmonics: FloatArray) -> FloatArray:
     """Return the light of 256 codes, rising from 0 to 1."""
     angle = np.arccos(np.linspace(-1, 1, 256))
     light = np.cos(np.outer(angle, np.arange(1, len(harmonics) + 1))) @ harmonics
     light = (np.maximum.accumulate(light) + np.minimum.accumulate(light[::-1])[::-1]) / 2
     return np.asarray((light - light[0]) / (light[-1] - light[0]))
+
+
+def _correction(waves: _Complexes) -> _Singles:
+    """Return (257,) what to add to arctangents of light with these harmonics (3, _HARMONICS) of the projector's."""
+    return response_table(np.concatenate([np.ones((3, 1)), waves / 2], axis=1))
 
 
 def _deviation(samples: FloatArray) -> FloatArray:
@@ -162,16 +118,21 @@ def _channel_harmonics(model: ChannelModel, correction: _Singles) -> _Complexes:
     height, columns = phases.shape
     around = runtime.to_host(gains.smooth)[..., [WindowSum.BACKGROUND, WindowSum.SAMPLES]]
     brightness, samples = cv2.split(cv2.resize(around, (columns, len(around) * gains.spacing_px)))
-    told = (phases < LEAST_NO_PHASE) & (samples[:height] > _FILLED * gains.window.samples)
+    balanced, has_phase = runtime.to_host(model.balanced), phases < LEAST_NO_PHASE
+    mean = brightness[:height] / np.maximum(samples[:height], 1e-6)
+    cycle = (1, max(1, round(gains.period_px)))
+    own, share = (cv2.blur(part * has_phase, cycle) for part in (balanced.mean(axis=2), np.ones_like(mean)))
+    told = has_phase & (samples[:height] > _FILLED * gains.window.samples)
+    told &= abs(own - share * mean) < _UNEVEN * share * mean
     count = np.count_nonzero(told)
     if count < _MIN_SAMPLES:
         raise CalibrationError(f"{count} samples of a surface with fringes: too few to tell the rig from the object")
     y, x = np.nonzero(told)
     phase = phases[told] + np.interp(phases[told], np.linspace(-np.pi, np.pi, len(correction)), correction)
-    turns = np.outer(phase, np.arange(1, _HARMONICS + 1))
+    turns = np.outer(phase, _ORDERS)
     basis = np.concatenate([np.ones((count, 1)), np.cos(turns), np.sin(turns)], axis=1)
-    basis *= (brightness[:height][told] / samples[:height][told])[:, None]
-    light = runtime.to_host(model.balanced)[told].astype(np.float64)
+    basis *= mean[told][:, None]
+    light = balanced[told].astype(np.float64)
     group = (y // max(1, int(2 * gains.period_px)) + 3 * (x * gains.spacing_px // int(2 * gains.period_px))) % _GROUPS
     parts = [(basis[group == g], light[group == g]) for g in range(_GROUPS)]
     gram, right = (
@@ -200,21 +161,6 @@ def _matrix(h: _Complexes) -> FloatArray:
     """Return the matrix of h_j = sum_k M_jk exp(i d_k), rows of sum one, scaled so that no leak is negative."""
     real = (h[:, None] * _TURNS.conj()).real
     return np.asarray(1 / 3 - real / (3 * min(real[~np.eye(3, dtype=bool)].min(), -1e-6)))
-
-
-def _ratios(h: _Complexes, H: _Complexes) -> FloatArray:
-    """Return the response's harmonics over the first, from H without its turn."""
-    patterns = {1: h, 2: h.conj(), 0: np.full(3, np.sqrt((np.abs(h) ** 2).mean()))}
-    expected = np.stack([patterns[n % 3] for n in range(1, _HARMONICS + 1)], axis=-1)
-    return np.asarray((H * expected.conj()).real.sum(0) / (np.abs(h) ** 2).sum())
-
-
-def _rest(H: _Complexes, matrix: FloatArray, shift: FloatArray) -> _Complexes:
-    """Return the harmonics (_RIPPLES,) of the phase's shift that H has beyond this one, its mean left out."""
-    light = (np.exp(1j * np.outer(_TRUE, np.arange(1, _HARMONICS + 1))) @ H.T).real
-    chroma = light @ np.linalg.inv(matrix).T @ _TURNS.conj()
-    left = _wrap(np.angle(chroma * np.exp(-1j * _TRUE)) - shift)
-    return np.asarray(2 / len(_TRUE) * np.exp(-1j * np.outer(np.arange(1, _RIPPLES + 1), _TRUE)) @ left)
 
 
 def _regularise(ratios: FloatArray, deviation: FloatArray) -> FloatArray:
@@ -257,7 +203,7 @@ def estimate_light(image: LevelsImage, levels: FrameLevels, period_px: float, cy
         ripples.append(float(correction.std()))
         harmonics = _channel_harmonics(model, correction)
         turn, constant_sigma = _turn(harmonics, floor)
-        harmonics = harmonics * np.exp(-1j * turn * np.arange(1, _HARMONICS + 1))
+        harmonics = harmonics * np.exp(-1j * turn * _ORDERS)
         matrices = np.stack([_matrix(row[:, 0]) for row in harmonics])
         matrix = matrices[0]
     return _estimate(harmonics, matrices, constant_sigma, cycles, ripples[0])
@@ -267,22 +213,25 @@ def _estimate(
     H: _Complexes, matrices: FloatArray, constant_sigma: float, cycles: float, ripple: float
 ) -> LightEstimate:
     """Return what the channels' harmonics say, (_GROUPS + 1, 3, _HARMONICS): all together, then a group left out."""
-    matrix, floor = matrices[0], _FLOOR / max(cycles, 1)
-    ratios = np.stack([_ratios(row[:, 0], row) for row in H])
-    harmonics = _regularise(ratios[0], np.hypot(_deviation(ratios), floor * (np.arange(_HARMONICS) > 0)))
-    shift = _shift(harmonics, _TRUE)
-    rests = np.stack([_rest(row, m, shift) for row, m in zip(H, matrices, strict=True)])
-    misfit = float(np.sqrt((np.abs(rests[0]) ** 2).sum() / 2))
+    floor = _FLOOR / max(cycles, 1)
+    # What the projector's channels send, over the first harmonic of their mean: real harmonics in a channel's own phase.
+    sent = np.linalg.inv(matrices) @ H
+    own = (sent * _TURNS.conj()[:, None] ** _ORDERS).real.mean(axis=1)
+    sent, own = sent / own[:, :1, None], own / own[:, :1]
+    harmonics = _regularise(own[0], np.hypot(_deviation(own), floor * (_ORDERS > 1)))
+    expected = harmonics * _TURNS[:, None] ** _ORDERS
+    rest = sent[0] - expected
+    misfit = float(np.std(_correction(sent[0]) - _correction(expected)))
     # Of the rest, take what stands three deviations out.
-    noise = np.hypot(_deviation(rests.real), _deviation(rests.imag)) + floor
-    rest = rests[0] * np.maximum(1 - (3 * noise / np.maximum(np.abs(rests[0]), 1e-9)) ** 2, 0)
-    shift += (np.exp(1j * np.outer(_TRUE, np.arange(1, _RIPPLES + 1))) @ rest).real
+    noise = np.hypot(_deviation(sent.real), _deviation(sent.imag)) + floor
+    rest *= np.maximum(1 - (3 * noise / np.maximum(np.abs(rest), 1e-9)) ** 2, 0)
+    matrix = matrices[0]
     leaks = matrix[~np.eye(3, dtype=bool)]
     return LightEstimate(
         crosstalk_matrix=matrix,
         crosstalk_sigma=np.hypot(_deviation(matrices), floor),
         response=_response_curve(harmonics),
-        correction=_undo(shift, np.linspace(-np.pi, np.pi, 257)).astype(np.float32),
+        correction=_correction(expected + rest),
         constant_sigma=constant_sigma,
         constant_known=bool(constant_sigma < _MAX_CONSTANT and misfit < _MAX_CONSTANT),
         cycles=cycles,
