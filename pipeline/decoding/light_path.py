@@ -139,7 +139,7 @@ class LightPath:
             One cycle of each balanced channel as far as it is known; see `ChannelModel.fit`.
         """
         if self._learned is not None:
-            return self._learned.correction, self._learned_cycle
+            return self._learned.correction.astype(np.float32), self._learned_cycle
         measured = measure_correction(histogram, resolved_harmonics(period_px))
         fits = [prior.fit(measured, period_px) for prior in self._priors]
         if not self._equalize:

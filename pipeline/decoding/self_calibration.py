@@ -21,15 +21,14 @@ crosstalk in it. Equalising and balancing want the crosstalk undone, so all is d
 matrix that the first has found.
 """
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Annotated
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from pipeline.errors import CalibrationError
-from pipeline.models import FloatArray
+from pipeline.models import ArrayOf, FloatArray, Matrix3, Model
 from pipeline.pattern import CHANNEL_PHASES
 from tikernels import runtime
 from tikernels.arrays import LevelsImage
@@ -65,17 +64,16 @@ _MAX_CONSTANT = 0.03
 _MAX_LEAK = 0.4
 
 
-@dataclass(frozen=True)
-class LightEstimate:
-    """What frames say about their rig's light; standard deviations come from leaving out groups of tiles in turn."""
+class LightEstimate(Model):
+    """What a frame says about its rig's light; standard deviations come from leaving out groups of tiles in turn."""
 
-    crosstalk_matrix: FloatArray
+    crosstalk_matrix: Matrix3
     """(3, 3), rows sum to one: of all that fit, the one with the smallest leaks, none negative."""
-    crosstalk_sigma: FloatArray
+    crosstalk_sigma: Matrix3
     """(3, 3)."""
-    response: FloatArray
+    response: Annotated[FloatArray, ArrayOf((256,))]
     """(256,): light of codes 0..1, one for all channels, from 0 to 1."""
-    correction: _Singles
+    correction: Annotated[FloatArray, ArrayOf((257,))]
     """(257,) rad, to be added to phases -pi..pi decoded with the matrix: the response, and what else surely repeats
     with every cycle (channels that differ, lateral colour, a transfer that was not undone)."""
     constant_sigma: float
@@ -91,6 +89,7 @@ class LightEstimate:
     reliable: bool
     """Whether decoding is better off with it."""
 
+
 def _response_curve(harmonics: FloatArray) -> FloatArray:
     """Return the light of 256 codes, rising from 0 to 1."""
     angle = np.arccos(np.linspace(-1, 1, 256))
@@ -99,9 +98,9 @@ def _response_curve(harmonics: FloatArray) -> FloatArray:
     return np.asarray((light - light[0]) / (light[-1] - light[0]))
 
 
-def _correction(waves: _Complexes) -> _Singles:
-    """Return (257,) what to add to arctangents of light with these harmonics (3, _HARMONICS) of the projector's."""
-    return response_table(np.concatenate([np.ones((3, 1)), waves / 2], axis=1))
+def _correction(waves: _Complexes) -> FloatArray:
+    """Return (257,) rad to add to arctangents of the projector's light with these harmonics, (3, _HARMONICS)."""
+    return response_table(np.concatenate([np.ones((3, 1)), waves / 2], axis=1)).astype(np.float64)
 
 
 def _deviation(samples: FloatArray) -> FloatArray:
@@ -214,12 +213,12 @@ def _estimate(
 ) -> LightEstimate:
     """Return what the channels' harmonics say, (_GROUPS + 1, 3, _HARMONICS): all together, then a group left out."""
     floor = _FLOOR / max(cycles, 1)
-    # What the projector's channels send, over the first harmonic of their mean: real harmonics in a channel's own phase.
+    # Light of the projector's channels, over its mean first harmonic; one response makes it real in their own phases.
     sent = np.linalg.inv(matrices) @ H
     own = (sent * _TURNS.conj()[:, None] ** _ORDERS).real.mean(axis=1)
     sent, own = sent / own[:, :1, None], own / own[:, :1]
     harmonics = _regularise(own[0], np.hypot(_deviation(own), floor * (_ORDERS > 1)))
-    expected = harmonics * _TURNS[:, None] ** _ORDERS
+    expected = np.asarray(harmonics * _TURNS[:, None] ** _ORDERS, np.complex128)
     rest = sent[0] - expected
     misfit = float(np.std(_correction(sent[0]) - _correction(expected)))
     # Of the rest, take what stands three deviations out.
@@ -232,7 +231,7 @@ def _estimate(
         crosstalk_sigma=np.hypot(_deviation(matrices), floor),
         response=_response_curve(harmonics),
         correction=_correction(expected + rest),
-        constant_sigma=constant_sigma,
+        constant_sigma=min(constant_sigma, np.pi),  # where nothing tells it, any turn is as likely
         constant_known=bool(constant_sigma < _MAX_CONSTANT and misfit < _MAX_CONSTANT),
         cycles=cycles,
         ripple=ripple,
