@@ -27,7 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import checks, runtime
-from tikernels._taichi import F32Array1, F32Array2, F32Array3, f32, i32, ti, vec3, vec4
+from tikernels._taichi import F32Array1, F32Array2, F32Array3, f32, i32, ti, vec3
 from tikernels.arrays import F32
 from tikernels.lanes import LANES, float_lanes
 from tikernels.launching import constant, kernel
@@ -371,8 +371,7 @@ def sum_model_kernel(
         sharper = lanes_of_colors(1.0)
         for k in range(count):
             ambient[k] = ambient_at(smooth, 2 * rows, share, i * rows, (first + k) * 2 * rows)
-            factors = sharpening_of(sharpness[ti.min(i // 2, sharpness.shape[0] - 1), first + k])
-            set_color(sharper, k, vec3(factors[1], factors[2], factors[3]))
+            set_color(sharper, k, sharpening_of(sharpness[ti.min(i // 2, sharpness.shape[0] - 1), first + k]))
         for y in range(i * rows, ti.min((i + 1) * rows, height)):
             for k in range(count):
                 set_color(light, k, sample_at(samples, y, first + k))
@@ -381,9 +380,8 @@ def sum_model_kernel(
                 if has_phase(phases[y, first + k]):
                     phase[k] = equalized_at(phases[y, first + k], correction, sharper[0, k])
             for k in range(LANES):
-                factors = vec4(1.0, sharper[0, k], sharper[1, k], sharper[2, k])
                 counts = ti.select(has_phase(phase[k]) & (k < count), 1.0, 0.0)
-                cycle, _ = sharpened_cycle_and_slope(harmonics, counts * phase[k], factors)
+                cycle, _ = sharpened_cycle_and_slope(harmonics, counts * phase[k], color_of(sharper, k))
                 seen = color_of(light, k)
                 expected = counts * (seen - ambient[k]).dot(cycle) / cycle.dot(cycle) * cycle
                 sums[LineSum.COUNT, k] += counts
