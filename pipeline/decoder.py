@@ -1,7 +1,7 @@
 """Turn one colour frame into phase, orders and points: `Decoder.decode` is the way of a frame, top to bottom."""
 
 import warnings
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 
 import numpy as np
@@ -180,7 +180,7 @@ class Decoder:
                     measured = Measured(*buffers, order_doubt=fringe_doubt(frame, self._setup.stripes, levels.clipped))
                 else:
                     measured = self._measure(frame, levels, period_px, memory, *buffers)
-                    if self._learn_light(frame, period_px, measured.surface):
+                    if self._learn_light(frame, levels, period_px, measured.surface):
                         memory = None if out is previous else memory  # its buffers have just been written
                         measured = self._measure(frame, levels, period_px, memory, *buffers)
                     measured = self._doubted(measured, frame, levels, statistics, period_px)
@@ -463,18 +463,15 @@ class Decoder:
         seen = (image, work.model, path.crosstalk, levels, correction, cycle)
         return path.surfaces.find(*seen, template_known=path.light_known, before=before)
 
-    def _learn_light(self, frame: LinearFrame, period_px: float, surface: SurfaceBuffers) -> bool:
+    def _learn_light(self, frame: LinearFrame, levels: FrameLevels, period_px: float, surface: SurfaceBuffers) -> bool:
         """Learn crosstalk and response from a frame that was decoded without them; return whether it told them."""
         if not self._path.unknown:
             return False
-        unwrapped, mask = runtime.to_host(surface.unwrapped), runtime.to_host(surface.mask) != 0  # synchronises
-        try:
-            image = runtime.to_host(frame.image)
-            self.light = estimate_light(
-                [image], frame.white, [unwrapped], [mask], self._work(frame, period_px).period_px
-            )
-        except CalibrationError:
-            pass
+        phases = runtime.to_host(surface.unwrapped)[runtime.to_host(surface.mask) != 0]  # synchronises
+        if phases.size:
+            cycles = float(np.ptp(np.quantile(phases, (0.01, 0.99)))) / (2 * np.pi)
+            with suppress(CalibrationError):
+                self.light = estimate_light(frame.image, levels, self._work(frame, period_px).period_px, cycles)
         self._path.learn(self.light)
         return self.light is not None and self.light.reliable
 

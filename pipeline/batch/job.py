@@ -201,7 +201,7 @@ class Job:
             It holds something else, or cannot be written.
         """
         also = {
-            "light": None if learnt.light is None else learnt.light.as_json(),
+            "light": None if learnt.light is None else learnt.light.model_dump(mode="json"),
             "code": learnt.code,
             "rims": asdict(learnt.rims),
             **camera_attribute(self._calibration_of_part()),

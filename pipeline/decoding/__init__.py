@@ -6,7 +6,7 @@ from tikernels.lazy_names import lazily
 
 if TYPE_CHECKING:
     from pipeline.decoding.frame import DecodedFrame
-    from pipeline.decoding.self_calibration import LightEstimate, estimate_light
+    from pipeline.decoding.self_calibration import LightEstimate
 
-__all__ = ["DecodedFrame", "LightEstimate", "estimate_light"]
+__all__ = ["DecodedFrame", "LightEstimate"]
 __getattr__, __dir__ = lazily(__name__)

@@ -15,15 +15,12 @@ from pipeline.models import CameraState, FloatArray
 from pipeline.settings import DecodeSettings
 from tikernels.phase.channel_template import flat_template
 from tikernels.phase.crosstalk import Crosstalk
-from tikernels.phase.equalization import measure_correction
+from tikernels.phase.equalization import measure_correction, resolved_harmonics
 from tikernels.phase.model_variance import ContrastDoubt
 from tikernels.phase.projector_response import ResponsePrior
 from tikernels.phase.surfaces import Surfaces
 from tikernels.raw.linearization import Transfer
 
-# Share of the pixels a cycle up to which the equalisation keeps harmonics; at one, the pixel grid itself looks like
-# one.
-_HARMONICS_A_PIXEL = 0.8
 # How far a pixel's contrast may be from what its neighbourhood shows: it hardly changes within a surface, but a code
 # changes it from cycle to cycle, and a fit to a constant one would bend the phase by 0.02 rad.
 _PLAIN_DOUBT, _CODED_DOUBT = ContrastDoubt(0.02, 0.01), ContrastDoubt(0.08, 0.08)
@@ -144,8 +141,8 @@ class LightPath:
             One cycle of each balanced channel as far as it is known; see `ChannelModel.fit`.
         """
         if self._learned is not None:
-            return self._learned.correction, self._learned_cycle
-        measured = measure_correction(histogram, max(3, int(_HARMONICS_A_PIXEL * period_px)))
+            return self._learned.correction.astype(np.float32), self._learned_cycle
+        measured = measure_correction(histogram, resolved_harmonics(period_px))
         fits = [prior.fit(measured, period_px) for prior in self._priors]
         if not self._equalize:
             measured = measure_correction(histogram, 0)  # of what the phases tell, nothing is used

@@ -15,59 +15,64 @@ H_j1 = a_1 h_j,  H_j2 = a_2 conj(h_j),  H_j3 = a_3,  H_j4 = a_4 h_j, and so on.
   turn; a linear one does not, and then the phase is known up to a constant.
 - a_2, a_4, a_5 over a_1 are what bends the phase; f(code) = sum_n a_n T_n(2 code - 1), T_n Chebyshev's polynomials.
 
-The phase free of ripple: ripple is a function of the phase, the object's own part is smooth. The phase and the
-functions cos, sin(k phi) all lose their smooth part to the same local average, and what is left of the one is fitted
-with what is left of the others (P. M. Robinson's partially linear model, 1988). Phases need not be evenly spread, and
-few cycles do.
+The phase free of ripple is the arctangent's, equalised, of the samples of the balance (`channel_model.py`). Each is
+compared with the mean brightness of a window of whole cycles around it: a pixel's own has the third harmonic and the
+crosstalk in it. Equalising and balancing want the crosstalk undone, so all is done twice, the second time with the
+matrix that the first has found.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Annotated
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from pipeline.errors import CalibrationError
-from pipeline.models import FloatArray, ImageArray
+from pipeline.models import ArrayOf, FloatArray, Matrix3, Model
 from pipeline.pattern import CHANNEL_PHASES
+from tikernels import runtime
+from tikernels.arrays import LevelsImage
+from tikernels.phase.channel_model import ChannelModel
+from tikernels.phase.color_balance import Gains, WindowSum
+from tikernels.phase.crosstalk import Crosstalk
+from tikernels.phase.equalization import correction_table, resolved_harmonics
+from tikernels.phase.frame_statistics import FrameLevels
+from tikernels.phase.projector_response import response_table
+from tikernels.phase.wrapped_phase import LEAST_NO_PHASE
 
 _Singles = npt.NDArray[np.float32]
 _Complexes = npt.NDArray[np.complex128]
 
-_DELAYS = np.array(CHANNEL_PHASES)
-_TURNS = np.exp(1j * _DELAYS)
-# Harmonics of the phase's ripple, and of the response; groups of image tiles for the jackknife; rounds of balance.
-_RIPPLES, _HARMONICS, _GROUPS, _ROUNDS = 6, 5, 8, 3
-# Of the local average, in cycles: short of one, so that it follows the surface.
-_SIGMA_CYCLES = 0.6
+_TURNS = np.exp(1j * np.array(CHANNEL_PHASES))
+# Harmonics of the response; groups of image tiles for the jackknife; rounds of balance.
+_HARMONICS, _GROUPS, _ROUNDS = 5, 8, 2
+_ORDERS = np.arange(1, _HARMONICS + 1)
 # Of the first harmonic, over the cycles in view: what the jackknife does not see (steps, window, shape).
 _FLOOR = 0.1
-_TRUE = np.linspace(-np.pi, np.pi, 720, endpoint=False)
-_MIN_PIXELS, _MIN_CYCLES = 300, 4.0
-_SAMPLES = 50000
+_MIN_CYCLES = 4.0
+# Samples of the balance, at least: of each group, three for each number that is fitted.
+_MIN_SAMPLES = _GROUPS * 3 * (1 + 2 * _HARMONICS)
+# Of a window that is emptier, the mean brightness has too much of the fringe in it; where a cycle's mean differs by
+# more, as a fraction, the window reaches beyond the edge of a surface.
+_FILLED, _UNEVEN = 0.5, 0.1
 # What is usual: a turn of the phase, rad, and how far a_3, a_4, a_5 over a_1 deviate from a power law's.
 _TURN_PRIOR, _RESPONSE_PRIOR = 0.1, 0.03
 # A turn less sure than this, rad, or a rest beyond it, leaves the phase's constant unknown.
 _MAX_CONSTANT = 0.03
-# Of an estimate's arrays; all else are numbers.
-_SHAPES = {"crosstalk_matrix": (3, 3), "crosstalk_sigma": (3, 3), "response": (256,), "correction": (257,)}
 # No rig leaks more than this of a colour.
 _MAX_LEAK = 0.4
 
 
-@dataclass(frozen=True)
-class LightEstimate:
-    """What frames say about their rig's light; standard deviations come from leaving out groups of tiles in turn."""
+class LightEstimate(Model):
+    """What a frame says about its rig's light; standard deviations come from leaving out groups of tiles in turn."""
 
-    crosstalk_matrix: FloatArray
+    crosstalk_matrix: Matrix3
     """(3, 3), rows sum to one: of all that fit, the one with the smallest leaks, none negative."""
-    crosstalk_sigma: FloatArray
+    crosstalk_sigma: Matrix3
     """(3, 3)."""
-    response: FloatArray
+    response: Annotated[FloatArray, ArrayOf((256,))]
     """(256,): light of codes 0..1, one for all channels, from 0 to 1."""
-    correction: _Singles
+    correction: Annotated[FloatArray, ArrayOf((257,))]
     """(257,) rad, to be added to phases -pi..pi decoded with the matrix: the response, and what else surely repeats
     with every cycle (channels that differ, lateral colour, a transfer that was not undone)."""
     constant_sigma: float
@@ -83,53 +88,6 @@ class LightEstimate:
     reliable: bool
     """Whether decoding is better off with it."""
 
-    def as_json(self) -> dict[str, Any]:
-        """Return what `from_json` reads, every digit of it; what is not finite becomes null."""
-        json: dict[str, Any] = {}
-        for name, value in vars(self).items():
-            plain = np.asarray(value, object)
-            plain[~np.isfinite(np.asarray(value))] = None
-            json[name] = plain.tolist()
-        return json
-
-    @classmethod
-    def from_json(cls, values: dict[str, Any]) -> "LightEstimate":
-        """Return what `as_json` wrote; null becomes NaN.
-
-        Raises
-        ------
-        ValueError
-            It is something else.
-        """
-        kinds: dict[str, Any] = {"correction": np.float32, "constant_known": np.bool_, "reliable": np.bool_}
-        try:
-            arrays = {name: np.array(value, kinds.get(name, np.float64)) for name, value in values.items()}
-            fields: dict[str, Any] = {name: array if array.ndim else array.item() for name, array in arrays.items()}
-            estimate = cls(**fields)
-        except (TypeError, AttributeError, OverflowError) as error:
-            raise ValueError(str(error)) from None
-        if any(np.shape(value) != _SHAPES.get(name, ()) for name, value in vars(estimate).items()):
-            raise ValueError("its arrays have other shapes")
-        return estimate
-
-
-def _wrap(phase: Any) -> Any:
-    return phase - 2 * np.pi * np.round(phase / (2 * np.pi))
-
-
-def _shift(harmonics: FloatArray, phase: FloatArray) -> FloatArray:
-    """Return how far the arctangent is off for light with these response harmonics, (N,)."""
-    n = np.arange(1, np.shape(harmonics)[-1] + 1)
-    light = (np.cos(n * (phase[:, None, None] + _DELAYS[:, None])) * harmonics).sum(-1)
-    return np.asarray(np.angle(light @ _TURNS.conj() * np.exp(-1j * phase)))
-
-
-def _undo(shift: FloatArray, seen: FloatArray) -> FloatArray:
-    """Return what to add to seen phases, given the shift of a whole turn of true ones from -pi on."""
-    true = np.linspace(-np.pi, np.pi, len(shift), endpoint=False)
-    steps = np.concatenate([true - 2 * np.pi, true, true + 2 * np.pi]) + np.tile(shift, 3)
-    return np.asarray(-np.interp(_wrap(seen), steps, np.tile(shift, 3)))
-
 
 def _response_curve(harmonics: FloatArray) -> FloatArray:
     """Return the light of 256 codes, rising from 0 to 1."""
@@ -139,107 +97,9 @@ def _response_curve(harmonics: FloatArray) -> FloatArray:
     return np.asarray((light - light[0]) / (light[-1] - light[0]))
 
 
-def _waves(phase: _Singles, count: int) -> _Singles:
-    """Return cos and then sin of the phase and its multiples, (H, W, 2 count)."""
-    turn = np.exp(1j * phase.astype(np.complex64))
-    waves = np.empty((*phase.shape, 2 * count), np.float32)
-    power = turn
-    for n in range(count):
-        waves[..., n], waves[..., count + n] = power.real, power.imag
-        power = power * turn
-    return waves
-
-
-def _series(phase: _Singles, coefficients: _Singles) -> _Singles:
-    """Return `_waves` times coefficients without making the waves, by Horner's rule."""
-    turn = np.exp(1j * phase.astype(np.complex64))
-    count = len(coefficients) // 2
-    total = np.zeros_like(turn)
-    for c, s in zip(coefficients[:count][::-1], coefficients[count:][::-1], strict=True):
-        total = (total + np.complex64(c - 1j * s)) * turn
-    return np.asarray(total.real)
-
-
-def _median_change(phase: _Singles, axis: int) -> float:
-    """Return by how much neighbours along an axis differ; 0 where no two neighbours have a phase."""
-    changes = np.abs(np.diff(phase, axis=axis))
-    changes = changes[np.isfinite(changes)]
-    return float(np.median(changes)) if changes.size else 0.0
-
-
-class _Frame:
-    """Samples of one frame, and local averages over them."""
-
-    def __init__(
-        self, image: ImageArray, white_level: float, phase: _Singles, mask: npt.NDArray[np.bool_], period_px: float
-    ) -> None:
-        valid = mask.astype(bool) & np.isfinite(phase)
-        change = [_median_change(np.where(valid, phase, np.nan), axis) for axis in (0, 1)]
-        # Skip pixels, mostly along the stripes: averaging them would dampen the harmonics. More samples than
-        # _SAMPLES only cost time.
-        across = max(1, int(period_px / 16))
-        along = max(1, int(period_px / 4), min(int(period_px / 2), mask.size // (across * _SAMPLES)))
-        steps = [across if c == max(change) else along for c in change]
-        kept = np.s_[:: steps[0], :: steps[1]]
-        self.light = image[kept].astype(np.float32) / np.float32(white_level)
-        self.mask = valid[kept] & (self.light.max(-1) < 0.995)
-        self.guide = np.where(self.mask, phase[kept], 0).astype(np.float32)
-        self.tile = [max(1, int(2 * period_px / s)) for s in steps]
-        self.sigma = [_SIGMA_CYCLES * period_px / s for s in steps]
-        self.weight = np.ones(self.mask.shape, np.float32)
-        # Where the phase leaves its neighbourhood's surface, a step is near or the order is wrong.
-        for limit in (2.0, 1.0):
-            self.keep(np.abs(self.high_pass(self.guide)) < limit)
-
-    def keep(self, good: npt.NDArray[np.bool_]) -> None:
-        """Drop samples, and those that are left alone."""
-        # Pixels in a mostly empty window have no neighbourhood to speak of.
-        self.mask = self.mask & good
-        self.mask &= self.blur(np.ones(self.mask.shape, np.float32)) > 0.25
-        self.weight = np.maximum(self.blur(np.ones(self.mask.shape, np.float32)), 1e-6)
-
-    def blur(self, values: _Singles) -> _Singles:
-        """Return the local sums over the samples that are kept."""
-        mask = self.mask if values.ndim == 2 else self.mask[..., None]
-        kept = np.where(mask, values, np.float32(0))
-        border = cv2.BORDER_CONSTANT
-        return np.asarray(cv2.GaussianBlur(kept, (0, 0), self.sigma[1], sigmaY=self.sigma[0], borderType=border))
-
-    def high_pass(self, values: _Singles) -> _Singles:
-        """Take off what is smooth, thrice, so that planes and curved surfaces go, too."""
-        weight = self.weight if values.ndim == 2 else self.weight[..., None]
-        for _ in range(3):
-            values = np.asarray(values - self.blur(values) / weight, np.float32)
-        return values
-
-    def balance(self, model: _Singles) -> _Singles:
-        """Divide each channel by its shading and reflectance, given what one cycle looks like."""
-        gains = np.ones_like(self.light)
-        for _ in range(2):
-            gains *= self.blur(self.light) / np.maximum(self.blur(model * gains), 1e-9)
-        return np.asarray(self.light / np.maximum(gains, 1e-6), np.float32)
-
-
-class _LeastSquares:
-    """Normal equations, kept apart for groups of image tiles: a jackknife costs nothing more."""
-
-    def __init__(self) -> None:
-        self.gram: Any = 0
-        self.right: Any = 0
-
-    def add(self, frame: _Frame, basis: _Singles, values: _Singles) -> None:
-        """Add a frame's samples."""
-        y, x = np.nonzero(frame.mask)
-        group = (y // frame.tile[0] + 3 * (x // frame.tile[1])) % _GROUPS
-        groups = [(basis[y[own], x[own]].astype(np.float64), values[y[own], x[own]].astype(np.float64))
-                 for own in (group == g for g in range(_GROUPS))]  # fmt: skip
-        self.gram = self.gram + np.stack([b.T @ b for b, _ in groups])
-        self.right = self.right + np.stack([b.T @ v for b, v in groups])
-
-    def solve(self) -> FloatArray:
-        """Return (_GROUPS + 1, columns, right sides): all together, then with each group left out."""
-        gram, right = (np.concatenate([s.sum(0)[None], s.sum(0) - s]) for s in (self.gram, self.right))
-        return np.linalg.solve(gram + 1e-6 * np.trace(gram[0]) / len(gram[0]) * np.eye(gram.shape[1]), right)
+def _correction(waves: _Complexes) -> FloatArray:
+    """Return (257,) rad to add to arctangents of the projector's light with these harmonics, (3, _HARMONICS)."""
+    return response_table(np.concatenate([np.ones((3, 1)), waves / 2], axis=1)).astype(np.float64)
 
 
 def _deviation(samples: FloatArray) -> FloatArray:
@@ -247,28 +107,41 @@ def _deviation(samples: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt((_GROUPS - 1) * np.var(samples[1:], axis=0)))
 
 
-def _smooth_phase(frame: _Frame, raw: _Singles, ripple: _Singles) -> tuple[_Singles, _Singles]:
-    """Return the phase free of ripple; and smoothed, which frees it of the noise that the channels share with it."""
-    phase = raw
-    for _ in range(4):
-        phase = raw - _series(phase, ripple)
-    return phase, phase - frame.high_pass(phase)
+def _channel_harmonics(model: ChannelModel, correction: _Singles) -> _Complexes:
+    """Return harmonics over the mean of the balanced channels, (_GROUPS + 1, 3, _HARMONICS).
 
-
-def _fit_ripple(frames: list[_Frame], raws: list[_Singles], phases: list[_Singles], trim: bool) -> _Singles:
-    """Fit the phase's ripple as a function of the phase; return its coefficients, (2 _RIPPLES,)."""
-    ripple = np.zeros(2 * _RIPPLES, np.float32)
-    for _ in range(2):
-        sums = _LeastSquares()
-        for frame, raw, phase in zip(frames, raws, phases, strict=True):
-            rest = frame.high_pass(np.concatenate([raw[..., None], _waves(phase, _RIPPLES)], -1))
-            left = np.abs(rest[..., 0] - rest[..., 1:] @ ripple)
-            if trim and ripple.any():
-                frame.keep(left < 6 * np.median(left[frame.mask]))
-            sums.add(frame, rest[..., 1:], rest[..., :1])
-        ripple = sums.solve()[0, :, 0].astype(np.float32)
-        phases = [_smooth_phase(frame, raw, ripple)[0] for frame, raw in zip(frames, raws, strict=True)]
-    return ripple
+    All samples together, then with each group of tiles left out.
+    """
+    gains, phases = model.gains, runtime.to_host(model.phases)
+    height, columns = phases.shape
+    around = runtime.to_host(gains.smooth)[..., [WindowSum.BACKGROUND, WindowSum.SAMPLES]]
+    brightness, samples = cv2.split(cv2.resize(around, (columns, len(around) * gains.spacing_px)))
+    balanced, has_phase = runtime.to_host(model.balanced), phases < LEAST_NO_PHASE
+    mean = brightness[:height] / np.maximum(samples[:height], 1e-6)
+    cycle = (1, max(1, round(gains.period_px)))
+    own, share = (cv2.blur(part * has_phase, cycle) for part in (balanced.mean(axis=2), np.ones_like(mean)))
+    told = has_phase & (samples[:height] > _FILLED * gains.window.samples)
+    told &= abs(own - share * mean) < _UNEVEN * share * mean
+    count = np.count_nonzero(told)
+    if count < _MIN_SAMPLES:
+        raise CalibrationError(f"{count} samples of a surface with fringes: too few to tell the rig from the object")
+    y, x = np.nonzero(told)
+    phase = phases[told] + np.interp(phases[told], np.linspace(-np.pi, np.pi, len(correction)), correction)
+    turns = np.outer(phase, _ORDERS)
+    basis = np.concatenate([np.ones((count, 1)), np.cos(turns), np.sin(turns)], axis=1)
+    basis *= mean[told][:, None]
+    light = balanced[told].astype(np.float64)
+    group = (y // max(1, int(2 * gains.period_px)) + 3 * (x * gains.spacing_px // int(2 * gains.period_px))) % _GROUPS
+    parts = [(basis[group == g], light[group == g]) for g in range(_GROUPS)]
+    gram, right = (
+        np.concatenate([sums.sum(axis=0)[None], sums.sum(axis=0) - sums])
+        for sums in (np.stack([b.T @ b for b, _ in parts]), np.stack([b.T @ v for b, v in parts]))
+    )
+    # Of phases that are the same in every cycle, higher harmonics look like lower ones.
+    gram += 1e-6 * np.trace(gram[0]) / len(gram[0]) * np.eye(gram.shape[1])
+    fitted = np.linalg.solve(gram, right).transpose(0, 2, 1)
+    fitted /= fitted[..., :1]
+    return np.asarray(fitted[..., 1 : 1 + _HARMONICS] - 1j * fitted[..., 1 + _HARMONICS :])
 
 
 def _turn(H: _Complexes, floor: float) -> tuple[float, float]:
@@ -288,21 +161,6 @@ def _matrix(h: _Complexes) -> FloatArray:
     return np.asarray(1 / 3 - real / (3 * min(real[~np.eye(3, dtype=bool)].min(), -1e-6)))
 
 
-def _ratios(h: _Complexes, H: _Complexes) -> FloatArray:
-    """Return the response's harmonics over the first, from H without its turn."""
-    patterns = {1: h, 2: h.conj(), 0: np.full(3, np.sqrt((np.abs(h) ** 2).mean()))}
-    expected = np.stack([patterns[n % 3] for n in range(1, _HARMONICS + 1)], axis=-1)
-    return np.asarray((H * expected.conj()).real.sum(0) / (np.abs(h) ** 2).sum())
-
-
-def _rest(H: _Complexes, matrix: FloatArray, shift: FloatArray) -> _Complexes:
-    """Return the harmonics (_RIPPLES,) of the phase's shift that H has beyond this one, its mean left out."""
-    light = (np.exp(1j * np.outer(_TRUE, np.arange(1, _HARMONICS + 1))) @ H.T).real
-    chroma = light @ np.linalg.inv(matrix).T @ _TURNS.conj()
-    left = _wrap(np.angle(chroma * np.exp(-1j * _TRUE)) - shift)
-    return np.asarray(2 / len(_TRUE) * np.exp(-1j * np.outer(np.arange(1, _RIPPLES + 1), _TRUE)) @ left)
-
-
 def _regularise(ratios: FloatArray, deviation: FloatArray) -> FloatArray:
     """Pull harmonics from the third on to those of the power law that has this second one, where they are unsure."""
     second = np.clip(ratios[1], -0.4, 0.45)
@@ -313,95 +171,65 @@ def _regularise(ratios: FloatArray, deviation: FloatArray) -> FloatArray:
     return law + trust * (ratios - law)
 
 
-def estimate_light(
-    images: Sequence[ImageArray],
-    white_level: float,
-    unwrapped_phases: Sequence[_Singles],
-    masks: Sequence[npt.NDArray[np.bool_]],
-    period_px: float,
-) -> LightEstimate:
-    """Estimate crosstalk and response from one frame or several of one rig.
+def estimate_light(image: LevelsImage, levels: FrameLevels, period_px: float, cycles: float) -> LightEstimate:
+    """Estimate crosstalk and response from a frame.
 
     Parameters
     ----------
-    images : sequence of (H, W, 3)
-        Linear light, in levels.
-    white_level : float
-        Full scale.
-    unwrapped_phases : sequence of (H, W) float32
-        rad; decoded without crosstalk matrix and equalisation, or with: only their whole cycles matter.
-    masks : sequence of (H, W) bool
-        Pixels with fringes.
+    image : (H, W, 3) uint8, uint16 or float32
+        Linear light, levels, stripes along the rows.
+    levels : FrameLevels
+        Which pixels are bright enough, and have a fringe.
     period_px : float
-        Camera px a cycle.
+        Camera px per cycle.
+    cycles : float
+        How many are in view: few of them say little, however many pixels there are.
 
     Raises
     ------
     CalibrationError
-        Too few pixels.
+        Too few pixels show a fringe.
     """
-    if not any(np.count_nonzero(mask) >= _MIN_PIXELS for mask in masks):
-        raise CalibrationError("hardly a pixel shows fringes: nothing tells the rig from the object")
-    frames = [_Frame(i, white_level, p, m, period_px) for i, p, m in zip(images, unwrapped_phases, masks, strict=True)]
-    pixels = sum(int(frame.mask.sum()) for frame in frames)
-    if pixels < _MIN_PIXELS:
-        raise CalibrationError(
-            f"{pixels} pixels of smooth surface with fringes: too few to tell the rig from the object"
-        )
-    cycles = max(np.ptp(np.quantile(frame.guide[frame.mask], (0.01, 0.99))) for frame in frames if frame.mask.any())
-    cycles = float(cycles / (2 * np.pi))
-    floor = _FLOOR / max(cycles, 1)
-    matrix, model, before = np.eye(3), np.zeros((2 * _HARMONICS, 3), np.float32), 0.0
-    phases = [frame.guide for frame in frames]
-    for round_ in range(_ROUNDS):
-        # Balance, undo the crosstalk as estimated in the round before, and take the ripple out of the phase.
-        weights = (np.linalg.inv(matrix).T @ _TURNS.conj()).astype(np.complex64)
-        shapes = [1 + _waves(phase, _HARMONICS) @ model for phase in phases]
-        balanced = [frame.balance(shape) for frame, shape in zip(frames, shapes, strict=True)]
-        raws = [
-            frame.guide + _wrap(np.angle(light @ weights) - frame.guide)
-            for frame, light in zip(frames, balanced, strict=True)
-        ]
-        ripple = _fit_ripple(frames, raws, phases if round_ else raws, trim=round_ == 1)
-        before = before or float(np.sqrt((ripple**2).sum() / 2))
-        # Each channel as a function of that phase.
-        sums = _LeastSquares()
-        phases = [_smooth_phase(frame, raw, ripple)[1] for frame, raw in zip(frames, raws, strict=True)]
-        for frame, phase, light in zip(frames, phases, balanced, strict=True):
-            waves = _waves(phase, _HARMONICS)
-            sums.add(frame, np.concatenate([np.ones_like(waves[..., :1]), waves], axis=-1), light)
-        solved = sums.solve().transpose(0, 2, 1)  # (_GROUPS + 1, 3, 1 + 2 _HARMONICS)
-        solved = solved[..., 1:] / solved[..., :1]
-        H = solved[..., :_HARMONICS] - 1j * solved[..., _HARMONICS:]
-        model = solved[0].T.astype(np.float32)
-        turn, constant_sigma = _turn(H, floor)
-        H = H * np.exp(-1j * turn * np.arange(1, _HARMONICS + 1))
-        matrices = np.stack([_matrix(row[:, 0]) for row in H])
+    model = ChannelModel(Gains(int(image.shape[0]), int(image.shape[1]), period_px))
+    matrix, floor, ripples = np.eye(3), _FLOOR / max(cycles, 1), []
+    for _ in range(_ROUNDS):
+        crosstalk = Crosstalk.of(matrix)
+        model.gains.measure(image, crosstalk, levels)
+        histogram = model.recover(crosstalk, levels)
+        correction = correction_table(histogram, resolved_harmonics(period_px))
+        ripples.append(float(correction.std()))
+        harmonics = _channel_harmonics(model, correction)
+        turn, constant_sigma = _turn(harmonics, floor)
+        harmonics = harmonics * np.exp(-1j * turn * _ORDERS)
+        matrices = np.stack([_matrix(row[:, 0]) for row in harmonics])
         matrix = matrices[0]
-    return _estimate(H, matrices, constant_sigma, cycles, before)
+    return _estimate(harmonics, matrices, constant_sigma, cycles, ripples[0])
 
 
 def _estimate(
     H: _Complexes, matrices: FloatArray, constant_sigma: float, cycles: float, ripple: float
 ) -> LightEstimate:
     """Return what the channels' harmonics say, (_GROUPS + 1, 3, _HARMONICS): all together, then a group left out."""
-    matrix, floor = matrices[0], _FLOOR / max(cycles, 1)
-    ratios = np.stack([_ratios(row[:, 0], row) for row in H])
-    harmonics = _regularise(ratios[0], np.hypot(_deviation(ratios), floor * (np.arange(_HARMONICS) > 0)))
-    shift = _shift(harmonics, _TRUE)
-    rests = np.stack([_rest(row, m, shift) for row, m in zip(H, matrices, strict=True)])
-    misfit = float(np.sqrt((np.abs(rests[0]) ** 2).sum() / 2))
+    floor = _FLOOR / max(cycles, 1)
+    # Light of the projector's channels, over its mean first harmonic; one response makes it real in their own phases.
+    sent = np.linalg.inv(matrices) @ H
+    own = (sent * _TURNS.conj()[:, None] ** _ORDERS).real.mean(axis=1)
+    sent, own = sent / own[:, :1, None], own / own[:, :1]
+    harmonics = _regularise(own[0], np.hypot(_deviation(own), floor * (_ORDERS > 1)))
+    expected = np.asarray(harmonics * _TURNS[:, None] ** _ORDERS, np.complex128)
+    rest = sent[0] - expected
+    misfit = float(np.std(_correction(sent[0]) - _correction(expected)))
     # Of the rest, take what stands three deviations out.
-    noise = np.hypot(_deviation(rests.real), _deviation(rests.imag)) + floor
-    rest = rests[0] * np.maximum(1 - (3 * noise / np.maximum(np.abs(rests[0]), 1e-9)) ** 2, 0)
-    shift += (np.exp(1j * np.outer(_TRUE, np.arange(1, _RIPPLES + 1))) @ rest).real
+    noise = np.hypot(_deviation(sent.real), _deviation(sent.imag)) + floor
+    rest *= np.maximum(1 - (3 * noise / np.maximum(np.abs(rest), 1e-9)) ** 2, 0)
+    matrix = matrices[0]
     leaks = matrix[~np.eye(3, dtype=bool)]
     return LightEstimate(
         crosstalk_matrix=matrix,
         crosstalk_sigma=np.hypot(_deviation(matrices), floor),
         response=_response_curve(harmonics),
-        correction=_undo(shift, np.linspace(-np.pi, np.pi, 257)).astype(np.float32),
-        constant_sigma=constant_sigma,
+        correction=_correction(expected + rest),
+        constant_sigma=min(constant_sigma, np.pi),  # where nothing tells it, any turn is as likely
         constant_known=bool(constant_sigma < _MAX_CONSTANT and misfit < _MAX_CONSTANT),
         cycles=cycles,
         ripple=ripple,

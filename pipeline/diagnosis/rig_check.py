@@ -4,6 +4,7 @@ A picture of a plane or ball is compared with a perfect one, captures of anythin
 epipolar lines. Where the light is at fault, one frame can correct the calibration.
 """
 
+import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,11 +19,10 @@ from pipeline.calibration.multishot import WHITE, decode_multishot, multishot_se
 from pipeline.causes import Cause
 from pipeline.decoder import Decoder
 from pipeline.decoding.frame import DecodedFrame
-from pipeline.decoding.self_calibration import estimate_light
 from pipeline.diagnosis.channel_spectra import KnownLight
 from pipeline.diagnosis.frame_sequence import MIN_FRAMES, SequenceDiagnosis, diagnose_sequence
 from pipeline.diagnosis.ripple import Diagnosis, diagnose, other_transfer
-from pipeline.errors import CalibrationError, FootageError
+from pipeline.errors import CalibrationError, DecodeWarning, FootageError
 from pipeline.footage.source import BadFrame, Source
 from pipeline.models import CameraState, CodeName, FloatArray, ImageArray
 from pipeline.robust import robust_sigma
@@ -358,8 +358,12 @@ def correct_light(
         raise CalibrationError("no fault was found that one frame can correct: do what the check advises")
     if not isinstance(transfer, str) or transfer != "linear":
         image, white_level = runtime.to_host(linearize(image, transfer, white_level)), 1.0
-    light = estimate_light([image], white_level, [frame.unwrapped_phase], [frame.mask], frame.period_px or 0.0)
-    if not light.reliable:
+    decoder = Decoder(DecodeSettings.model_validate({"stripes": frame.memory.stripes, "white_level": white_level}))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DecodeWarning)
+        decoder.decode(image)
+    light = decoder.light
+    if light is None or not light.reliable:
         raise CalibrationError("the frame shows too little of the light to correct it: capture a larger smooth surface")
     update: dict[str, Any] = {"crosstalk_matrix": light.crosstalk_matrix}
     if "response" in causes or calibration.response is None:

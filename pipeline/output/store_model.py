@@ -3,7 +3,7 @@
 from datetime import datetime
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from pipeline.calibration.lens import Lens
 from pipeline.decoding.front_side import RimVotes
@@ -41,13 +41,8 @@ class StoreAttributes(_Said):
     step: Annotated[int, Field(ge=1, le=MOST_FRAMES)] = 1
     rims: dict[Literal["falls", "grows", "needed"], _Count] = {}
     code: CodeName | None = None
-    light: Any = None
+    light: LightEstimate | None = None
     camera: Lens | None = None
-
-    @field_validator("light")
-    @classmethod
-    def _read_light(cls, value: Any) -> LightEstimate | None:
-        return None if value is None else LightEstimate.from_json(value)
 
     @property
     def rim_votes(self) -> RimVotes:

@@ -27,7 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import checks, runtime
-from tikernels._taichi import F32Array1, F32Array2, F32Array3, I32Array2, f32, i32, ti, u1, vec3, vec4
+from tikernels._taichi import F32Array1, F32Array2, F32Array3, I32Array2, f32, i32, ti, u1, vec3
 from tikernels.arrays import F32
 from tikernels.lanes import LANES, float_lanes
 from tikernels.launching import constant, kernel
@@ -135,6 +135,8 @@ class ChannelModel:
         self.contrast = np.nan
         # Which share of the background is ambient light.
         self._share = 0.0
+        #: Ambient light that the surfaces send back on average, levels.
+        self.ambient = 0.0
 
     def recover(self, crosstalk: Crosstalk, levels: FrameLevels) -> npt.NDArray[np.int64]:
         """Balance the samples that the gains were measured from, find their bare phase, and what is ambient light.
@@ -168,6 +170,7 @@ class ChannelModel:
             if variance * count > (_MIN_VARIATION * background) ** 2 and covariance > 0:
                 share = 1 - modulation * variance / (covariance * background)
                 self._share = float(np.clip(share, 0, _MAX_AMBIENT))
+        self.ambient = float(self._share * background / max(count, 1.0))
         return runtime.to_host(self._histogram).astype(np.int64)  # synchronises
 
     def fit(
@@ -400,8 +403,7 @@ def sum_model_kernel(
         sharper = lanes_of_colors(1.0)
         for k in range(count):
             ambient[k] = ambient_at(smooth, 2 * rows, share, i * rows, (first + k) * 2 * rows)
-            factors = sharpening_of(sharpness[ti.min(i // 2, sharpness.shape[0] - 1), first + k])
-            set_color(sharper, k, vec3(factors[1], factors[2], factors[3]))
+            set_color(sharper, k, sharpening_of(sharpness[ti.min(i // 2, sharpness.shape[0] - 1), first + k]))
         for y in range(i * rows, ti.min((i + 1) * rows, height)):
             for k in range(count):
                 set_color(light, k, sample_at(samples, y, first + k))
@@ -410,9 +412,8 @@ def sum_model_kernel(
                 if has_phase(phases[y, first + k]):
                     phase[k] = equalized_at(phases[y, first + k], correction, sharper[0, k])
             for k in range(LANES):
-                factors = vec4(1.0, sharper[0, k], sharper[1, k], sharper[2, k])
                 counts = ti.select(has_phase(phase[k]) & (k < count), 1.0, 0.0)
-                cycle, _ = sharpened_cycle_and_slope(harmonics, counts * phase[k], factors)
+                cycle, _ = sharpened_cycle_and_slope(harmonics, counts * phase[k], color_of(sharper, k))
                 seen = color_of(light, k)
                 expected = counts * (seen - ambient[k]).dot(cycle) / cycle.dot(cycle) * cycle
                 sums[LineSum.COUNT, k] += counts

@@ -110,18 +110,19 @@ def sharpening_factors(sharpness: f32):
     """Return what `waves_of` are to be multiplied by, given `FringeSharpness`'s value: see `sharpening_of`."""
     result, factors = ti.Vector.one(f32, TERMS), sharpening_of(sharpness)
     for n in ti.static(range(2, HARMONICS + 1)):
-        result[n], result[HARMONICS + n] = factors[n - 1], factors[n - 1]
+        result[n], result[HARMONICS + n] = factors[n - 2], factors[n - 2]
     return result
 
 
 @ti.func
 def sharpening_of(sharpness: f32):
-    """Return (harmonics,) what each harmonic is multiplied by, exp((n^2 - 1) sharpness); see `fringe_sharpness.py`."""
+    """Return what harmonics 2 to 4 are multiplied by, exp((n^2 - 1) sharpness); see `fringe_sharpness.py`."""
     # From one to the next by exp((2 n + 1) sharpness): an exponential is a call of the C library.
-    result, once = ti.Vector.one(f32, HARMONICS), ti.exp(sharpness)
+    result, factor, once = vec3(0.0), 1.0, ti.exp(sharpness)
     ratio = once * once * once
-    for n in ti.static(range(1, HARMONICS)):
-        result[n] = result[n - 1] * ratio
+    for n in ti.static(range(HARMONICS - 1)):
+        factor *= ratio
+        result[n] = factor
         ratio *= once * once
     return result
 
@@ -129,17 +130,19 @@ def sharpening_of(sharpness: f32):
 @ti.func
 def cycle_and_slope(harmonics: Static, phase: f32):
     """Return the template's three channels at a phase and their derivatives, given `load_harmonics`."""
-    return sharpened_cycle_and_slope(harmonics, phase, ti.Vector.one(f32, HARMONICS))
+    return sharpened_cycle_and_slope(harmonics, phase, vec3(1.0))
 
 
 @ti.func
-def sharpened_cycle_and_slope(harmonics: Static, phase: f32, factors: Static):
+def sharpened_cycle_and_slope(harmonics: Static, phase: f32, factors: vec3):
     """Return `cycle_and_slope` of harmonics that are to be multiplied by these factors; see `sharpening_of`."""
     cosine, sine = cosine_and_sine(phase)
     cycle, slope = vec3(1.0), vec3(0.0)
     real, imaginary = cosine, sine
     for n in ti.static(range(1, HARMONICS + 1)):
-        even, odd = factors[n - 1] * real, factors[n - 1] * imaginary
+        even, odd = real, imaginary
+        if ti.static(n > 1):
+            even, odd = factors[n - 2] * real, factors[n - 2] * imaginary
         for channel in ti.static(range(3)):
             of_cosine, of_sine = harmonics[channel, n - 1], harmonics[channel, HARMONICS + n - 1]
             cycle[channel] += of_cosine * even + of_sine * odd

@@ -27,6 +27,8 @@ BINS = 256
 _COPIES = 32
 # A phase this far beyond +-pi still counts: float32 leaves less than that, rad.
 _ROUNDING = 1e-3
+# Share of the pixels per cycle up to which harmonics are measured; at one, the pixel grid itself looks like one.
+_HARMONICS_A_PIXEL = 0.8
 # Fewer counts a bin than this do not make a distribution.
 _MIN_COUNTS_A_BIN = 4
 
@@ -55,6 +57,11 @@ class MeasuredCorrection(NamedTuple):
         correction[-1] = correction[0]
         mean = self.counts @ (correction[1:] + correction[:-1]) / (2 * max(self.counts.sum(), 1))
         return constant(np.asarray(correction - mean, np.float32))
+
+
+def resolved_harmonics(period_px: float) -> int:
+    """Return how many harmonics of the cycle a fringe of this period (px) resolves."""
+    return max(3, int(_HARMONICS_A_PIXEL * period_px))
 
 
 def measure_correction(

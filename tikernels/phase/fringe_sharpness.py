@@ -27,7 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import checks, runtime
-from tikernels._taichi import F32Array1, F32Array2, F32Array3, Static, f32, i32, ti, vec3, vec4
+from tikernels._taichi import F32Array1, F32Array2, F32Array3, Static, f32, i32, ti, vec3
 from tikernels.arrays import F32
 from tikernels.lanes import LANES, float_lanes
 from tikernels.launching import constant, kernel
@@ -61,7 +61,7 @@ def equalized_at(bare: f32, correction: F32Array1, bend: f32) -> f32:
 
 
 @ti.func
-def sharpening(harmonics: Static, phase: f32, factors: Static) -> vec3:
+def sharpening(harmonics: Static, phase: f32, factors: vec3) -> vec3:
     """Return the derivative of the three channels by the sharpness, g, given `sharpening_of` what it is."""
     cosine, sine = cosine_and_sine(phase)
     result = vec3(0.0)
@@ -70,7 +70,7 @@ def sharpening(harmonics: Static, phase: f32, factors: Static) -> vec3:
         real, imaginary = real * cosine - imaginary * sine, real * sine + imaginary * cosine
         for channel in ti.static(range(3)):
             wave = harmonics[channel, n - 1] * real + harmonics[channel, HARMONICS + n - 1] * imaginary
-            result[channel] += ti.static(n * n - 1) * factors[n - 1] * wave
+            result[channel] += ti.static(n * n - 1) * factors[n - 2] * wave
     return result
 
 
@@ -100,8 +100,7 @@ def sum_sharpness_kernel(
             j = first + 2 * k
             set_color(colors, k, ti.max(channels_at(nodes, node, j, 0), 1e-6))
             set_color(ambients, k, channels_at(nodes, node, j, 3))
-            factors = sharpening_of(sharpness[node, j])
-            set_color(sharper, k, vec3(factors[1], factors[2], factors[3]))
+            set_color(sharper, k, sharpening_of(sharpness[node, j]))
         for y in range(i * rows, ti.min((i + 1) * rows, samples.shape[0])):
             for k in range(count):
                 set_color(seen, k, sample_at(samples, y, first + 2 * k))
@@ -110,7 +109,7 @@ def sum_sharpness_kernel(
                     phase[k] = equalized_at(phases[y, first + 2 * k], correction, sharper[0, k])
             for k in range(LANES):
                 counts = ti.select(has_phase(phase[k]), 1.0, 0.0)
-                factors = vec4(1.0, sharper[0, k], sharper[1, k], sharper[2, k])
+                factors = color_of(sharper, k)
                 cycle, slope = sharpened_cycle_and_slope(harmonics, counts * phase[k], factors)
                 light = (color_of(seen, k) - color_of(ambients, k)) / color_of(colors, k)
                 brightness = light.dot(cycle) / cycle.dot(cycle)

@@ -43,7 +43,6 @@ from tikernels._taichi import (
     mat3,
     ti,
     vec3,
-    vec4,
 )
 from tikernels.arrays import F32, LevelsImage
 from tikernels.launching import kernel
@@ -109,7 +108,7 @@ def fringe_vector(channels: vec3, color: vec3, ambient: vec3, weights: mat3) -> 
 
 
 @ti.func
-def model_at(
+def pixel_model(
     cycle: vec3,
     slope: vec3,
     color: vec3,
@@ -177,7 +176,7 @@ def load_nodes(
     nodes: F32Array3,
     sharpness: F32Array2,
     spacing_px: Static,
-    row: f32,
+    y: i32,
     place: i32,
     colors: Static,
     ambients: Static,
@@ -188,6 +187,7 @@ def load_nodes(
     Gap j lies between nodes j - 1 and j; the first one begins half of it before the image, where `place` is 0.
     """
     in_gap = ti.static(min(spacing_px, STRIP))
+    row = ti.min(ti.max((y + 0.5) / spacing_px - 0.5, 0.0), ti.cast(nodes.shape[0] - 1, ti.f32))
     right_color, right_ambient = node_model(nodes, row, place // spacing_px - 1)
     for gap in range(STRIP // in_gap):
         j = (place + gap * in_gap) // spacing_px
@@ -201,7 +201,7 @@ def load_nodes(
             along = ti.cast(place + k - j * spacing_px, ti.f32) + 0.5
             set_color(colors, k, left_color + color_slope * along)
             set_color(ambients, k, left_ambient + ambient_slope * along)
-            set_color(sharper, k, vec3(factors[1], factors[2], factors[3]))
+            set_color(sharper, k, factors)
 
 
 @cache
@@ -239,11 +239,10 @@ def _fit_phase_kernel(mixed: bool, spacing_px: int) -> Any:
             y, place, _ = strip_at(t, width + before, STRIP)
             start = place - before
             weights, harmonics = matrix_of(phase_weights), load_harmonics(template)
-            v = ti.min(ti.max((y + 0.5) / spacing_px - 0.5, 0.0), ti.cast(nodes.shape[0] - 1, ti.f32))
             light, colors, ambients = lanes_of_colors(0.0), lanes_of_colors(1.0), lanes_of_colors(0.0)
             sharper, bare, start_phase = lanes_of_colors(1.0), lanes(0.0), lanes(0.0)
             phase, modulation, precision, left, bright = lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0)
-            load_nodes(nodes, sharpness, spacing_px, v, place, colors, ambients, sharper)
+            load_nodes(nodes, sharpness, spacing_px, y, place, colors, ambients, sharper)
             first, stop = ti.max(-start, 0), ti.min(STRIP, width - start)
             for k in range(first, stop):
                 set_color(light, k, color_at(image, y, start + k))
@@ -258,9 +257,8 @@ def _fit_phase_kernel(mixed: bool, spacing_px: int) -> Any:
                 start_phase[k] = equalized(bare[k], correction)
             for k in range(STRIP):
                 seen, color, ambient = color_of(light, k), color_of(colors, k), color_of(ambients, k)
-                factors = vec4(1.0, sharper[0, k], sharper[1, k], sharper[2, k])
-                cycle, slope = sharpened_cycle_and_slope(harmonics, start_phase[k], factors)
-                model, change, swing, rest = model_at(
+                cycle, slope = sharpened_cycle_and_slope(harmonics, start_phase[k], color_of(sharper, k))
+                model, change, swing, rest = pixel_model(
                     cycle, slope, color, ambient, mixing, besides, labels, y, ti.max(start + k, 0), mixed
                 )
                 weight = 1.0 / ti.sqrt(read_noise * read_noise + noise_gain * ti.max(seen, 0.0))

@@ -28,13 +28,13 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import checks, runtime
-from tikernels._taichi import AnyArray3, F32Array1, F32Array2, F32Array3, U8Array2, f32, ti, vec3, vec4
+from tikernels._taichi import AnyArray3, F32Array1, F32Array2, F32Array3, U8Array2, f32, ti, vec3
 from tikernels.arrays import F32, LevelsImage, Mask
 from tikernels.launching import kernel
 from tikernels.phase.brightness_ripple import within_cycle
 from tikernels.phase.channel_template import load_harmonics, sharpened_cycle_and_slope
 from tikernels.phase.crosstalk import Crosstalk
-from tikernels.phase.phase_fit import load_nodes, model_at
+from tikernels.phase.phase_fit import load_nodes, pixel_model
 from tikernels.phase.phase_vector import color_at
 from tikernels.phase.white_level import white_level
 from tikernels.phase.wide_blur import wide_blur
@@ -118,11 +118,10 @@ def _measure_swing_kernel(mixed: bool, spacing_px: int) -> Any:
         for t in range(height * strip_count(width + before, STRIP)):
             y, place, _ = strip_at(t, width + before, STRIP)
             start, harmonics = place - before, load_harmonics(template)
-            v = ti.min(ti.max((y + 0.5) / spacing_px - 0.5, 0.0), ti.cast(nodes.shape[0] - 1, ti.f32))
             light, colors, ambients = lanes_of_colors(0.0), lanes_of_colors(1.0), lanes_of_colors(0.0)
             sharper, angle, counts = lanes_of_colors(1.0), lanes(0.0), lanes(0.0)
             product, square = lanes(0.0), lanes(0.0)
-            load_nodes(nodes, sharpness, spacing_px, v, place, colors, ambients, sharper)
+            load_nodes(nodes, sharpness, spacing_px, y, place, colors, ambients, sharper)
             first, stop = ti.max(-start, 0), ti.min(STRIP, width - start)
             for k in range(first, stop):
                 set_color(light, k, color_at(image, y, start + k))
@@ -130,10 +129,9 @@ def _measure_swing_kernel(mixed: bool, spacing_px: int) -> Any:
                     angle[k], counts[k] = within_cycle(phase[y, start + k]), 1.0
             for k in range(STRIP):
                 seen = color_of(light, k)
-                factors = vec4(1.0, sharper[0, k], sharper[1, k], sharper[2, k])
-                cycle, slope = sharpened_cycle_and_slope(harmonics, angle[k], factors)
+                cycle, slope = sharpened_cycle_and_slope(harmonics, angle[k], color_of(sharper, k))
                 x = ti.max(start + k, 0)
-                model, change, swing, rest = model_at(
+                model, change, swing, rest = pixel_model(
                     cycle, slope, color_of(colors, k), color_of(ambients, k), mixing, besides, labels, y, x, mixed
                 )
                 brightness, by_contrast = solved(seen - rest, model, change, swing)
@@ -175,11 +173,10 @@ def _light_by_white_kernel(mixed: bool, spacing_px: int) -> Any:
             y, place, _ = strip_at(t, width + before, STRIP)
             start, harmonics = place - before, load_harmonics(template)
             level = vec3(white[0], white[1], white[2])
-            v = ti.min(ti.max((y + 0.5) / spacing_px - 0.5, 0.0), ti.cast(nodes.shape[0] - 1, ti.f32))
             light, colors, ambients = lanes_of_colors(0.0), lanes_of_colors(1.0), lanes_of_colors(0.0)
             sharper, angle, counts, deviation = lanes_of_colors(1.0), lanes(0.0), lanes(0.0), lanes(0.0)
             around, known = lanes(0.0), lanes(0.0)
-            load_nodes(nodes, sharpness, spacing_px, v, place, colors, ambients, sharper)
+            load_nodes(nodes, sharpness, spacing_px, y, place, colors, ambients, sharper)
             first, stop = ti.max(-start, 0), ti.min(STRIP, width - start)
             for k in range(first, stop):
                 set_color(light, k, color_at(image, y, start + k))
@@ -189,13 +186,12 @@ def _light_by_white_kernel(mixed: bool, spacing_px: int) -> Any:
                     deviation[k] = means[y, start + k, 0] / ti.max(around[k], 1e-12)
             for k in range(STRIP):
                 seen, color, ambient = color_of(light, k), color_of(colors, k), color_of(ambients, k)
-                factors = vec4(1.0, sharper[0, k], sharper[1, k], sharper[2, k])
-                cycle, slope = sharpened_cycle_and_slope(harmonics, angle[k], factors)
+                cycle, slope = sharpened_cycle_and_slope(harmonics, angle[k], color_of(sharper, k))
                 x = ti.max(start + k, 0)
-                model, change, swing, rest = model_at(
+                model, change, swing, rest = pixel_model(
                     cycle, slope, color, ambient, mixing, besides, labels, y, x, mixed
                 )
-                at_white, _, white_swing, _ = model_at(
+                at_white, _, white_swing, _ = pixel_model(
                     level, slope, color, ambient, mixing, besides, labels, y, x, mixed
                 )
                 more = ti.max(ti.min(deviation[k], _MOST_CONTRAST), -_MOST_CONTRAST)

@@ -1,7 +1,5 @@
 """What is known of the light: settings win over the calibration, and that over what a frame tells."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -53,7 +51,7 @@ def test_nothing_known_asks_one_frame():
     np.testing.assert_array_equal(path.cycle(UNIFORM, 12.0)[0], TOLD.correction)
 
 
-@pytest.mark.parametrize("light", [None, replace(TOLD, reliable=False)])
+@pytest.mark.parametrize("light", [None, TOLD.model_copy(update={"reliable": False})])
 def test_what_a_frame_could_not_tell_is_not_asked_again(light):
     path = LightPath(DecodeSettings(), None)
     path.learn(light)

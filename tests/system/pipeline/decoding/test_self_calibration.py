@@ -11,6 +11,7 @@ from pipeline.decoding.self_calibration import estimate_light
 from pipeline.errors import CalibrationError
 from pipeline.footage.image_file import read_image
 from pipeline.simulation import WHITE, SimulationSettings, simulate_frame, simulated_rig
+from tikernels.phase.frame_statistics import FrameLevels
 
 # Frames of rigs that differ from what their settings say.
 pytestmark = [pytest.mark.usefixtures("cpu"), pytest.mark.filterwarnings("ignore:the colours' fringes differ")]
@@ -56,15 +57,12 @@ def test_nothing_to_win_is_not_lost():
 
 def test_pixels_that_have_no_phase_say_nothing():
     """And nothing is warned of beside that."""
-    image = np.full((64, 64, 3), 0.5, np.float32)
-    with pytest.raises(CalibrationError, match="0 pixels of smooth surface"):
-        estimate_light([image], 1.0, [np.full((64, 64), np.nan, np.float32)], [np.ones((64, 64), bool)], 12.0)
+    levels = FrameLevels(1.0, read_noise=0.005, noise_gain=0.0, noise=0.005, intensity=0.05, modulation=0.05)
+    with pytest.raises(CalibrationError, match="0 samples of a surface"):
+        estimate_light(np.full((64, 64, 3), 0.5, np.float32), levels, 12.0, cycles=5.0)
 
 
 def test_too_small_an_object_says_nothing():
-    image = np.full((40, 40, 3), 128, np.uint8)
-    with pytest.raises(CalibrationError, match="hardly a pixel"):
-        estimate_light([image], 255, [np.zeros((40, 40), np.float32)], [np.zeros((40, 40), bool)], 12.0)
     truth = simulate_frame(simulated_rig(), SimulationSettings(scene="plane"))
     small = np.zeros_like(truth.image)
     small[200:240, 300:340] = truth.image[200:240, 300:340]
