@@ -38,6 +38,10 @@ _SHARP, _LEAST_SHARE = 0.08, 0.05
 _NODE_SPACING_PX = 8
 # A node tells a colour if this share of its window is lit.
 _FILLED = 0.3
+# About as many samples tell the ambient light.
+_AMBIENT_SAMPLES = 3000
+# Ambient light is at most this share of the frame's; brightness that varies less, as a fraction, does not tell it.
+_MOST_AMBIENT, _LEAST_VARIATION = 0.6, 0.03
 # A fringe swings by twice its modulation over this part of a cycle, in pixels some ten, whose noise alone swings by
 # less than this many standard deviations.
 _SWING_CYCLES, _SWING_SIGMAS = 0.65, 5.0
@@ -68,8 +72,6 @@ class FirstLook:
 
     Attributes
     ----------
-    ambient : float
-        Ambient light that the surfaces send back on average, levels.
     spacing_px : int
         Between the nodes that are looked at.
     ratios : (Hn, Wn, 3) float64
@@ -89,7 +91,6 @@ class FirstLook:
         gains = model.gains
         self.device_image, self.gains, self.levels, self.correction = image, gains, levels, correction
         self._model, self.crosstalk = model, crosstalk
-        self.ambient = model.ambient
         self._every = max(1, _NODE_SPACING_PX // gains.spacing_px)
         self.spacing_px = self._every * gains.spacing_px
         smooth = runtime.to_host(gains.smooth)
@@ -110,6 +111,12 @@ class FirstLook:
         return runtime.to_host(self.device_image)
 
     @cached_property
+    def _samples(self) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+        """Return the frame's samples, (N, 3) levels, as they are and balanced."""
+        seen, balanced = runtime.to_host(self.gains.samples), runtime.to_host(self._model.balanced)
+        return seen.reshape(-1, 3), balanced.reshape(-1, 3)
+
+    @cached_property
     def lattice(self) -> Lattice:
         """Places all over the frame, one a node's column, and their light."""
         rows = 1 << max(0, int(math.log2(self.gains.period_px / _ROWS_A_CYCLE)))
@@ -127,6 +134,22 @@ class FirstLook:
         """(h, w) mean brightness around each place, levels."""
         samples = np.maximum(self._smooth[..., WindowSum.SAMPLES], 1e-6)
         return np.asarray(self._at_places(self._smooth[..., WindowSum.BACKGROUND] / samples), np.float64)
+
+    @cached_property
+    def ambient(self) -> float:
+        """Ambient light that the surfaces send back on average, levels: what the modulation does not follow."""
+        _, vector, contrast = self._looked_at(_AMBIENT_SAMPLES)
+        modulation = np.hypot(vector[:, 0], vector[:, 1]) / contrast
+        shown = modulation > self.levels.modulation
+        if not shown.any():
+            return 0.0
+        modulation, background = modulation[shown], vector[shown, 2]
+        mean, variance = float(background.mean()), float(background.var())
+        covariance = float(((background - mean) * modulation).mean())
+        if variance < (_LEAST_VARIATION * mean) ** 2 or covariance <= 0:
+            return 0.0
+        share = 1 - float(modulation.mean()) * variance / (covariance * mean)
+        return float(np.clip(share, 0, _MOST_AMBIENT)) * mean
 
     @cached_property
     def contrast(self) -> npt.NDArray[np.float32]:
@@ -184,12 +207,28 @@ class FirstLook:
 
     def some_samples(self, wanted: int) -> FloatArray:
         """Return the light of about as many samples as wanted that show a fringe, (N, 3) levels."""
-        seen = runtime.to_host(self.gains.samples).reshape(-1, 3)
-        phases = runtime.to_host(self._model.phases).ravel()
-        step = max(1, len(seen) // wanted)
+        seen, vector, _ = self._looked_at(wanted)
+        shown = np.hypot(vector[:, 0], vector[:, 1]) > self.levels.modulation
+        return np.asarray(seen[shown & (seen.max(axis=1) < self.levels.clipped)])
+
+    def _looked_at(self, wanted: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return about as many samples as wanted, (N, 3), their b cos(phi), b sin(phi) and a, levels, and contrast."""
+        samples, balanced_samples = self._samples
+        step = max(1, len(samples) // wanted)
         while math.gcd(step, int(self.gains.samples.shape[1])) > 1:  # or it meets the same columns again and again
             step += 1
-        return np.asarray(seen[::step][phases[::step] < LEAST_NO_PHASE], np.float64)
+        seen, balanced = samples[::step].astype(np.float64), balanced_samples[::step].astype(np.float64)
+        contrast = self._contrast_at(np.arange(0, len(samples), step))
+        return seen, np.asarray(balanced @ self.crosstalk.weights.T.astype(np.float64)), contrast
+
+    def _contrast_at(self, samples: npt.NDArray[np.intp]) -> FloatArray:
+        """Return what blur leaves of the contrast around some samples (N,), a factor."""
+        row, column = np.divmod(samples, int(self.gains.samples.shape[1]))
+        # Where these lie between the nodes, whose values are those of the middles of their squares.
+        y, x = (row + 0.5) / self.spacing_px - 0.5, (column + 0.5) / self._every - 0.5
+        places = (x.astype(np.float32)[None], y.astype(np.float32)[None])
+        border = cv2.BORDER_REPLICATE
+        return np.asarray(cv2.remap(self.contrast, *places, cv2.INTER_LINEAR, borderMode=border)[0], np.float64)
 
     def _at_places(self, values: npt.NDArray[Any], how: int = cv2.INTER_LINEAR) -> npt.NDArray[Any]:
         """Return values at nodes as values at the lattice's places."""

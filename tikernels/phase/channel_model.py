@@ -135,8 +135,6 @@ class ChannelModel:
         self.contrast = np.nan
         # Which share of the background is ambient light.
         self._share = 0.0
-        #: Ambient light that the surfaces send back on average, levels.
-        self.ambient = 0.0
 
     def recover(self, crosstalk: Crosstalk, levels: FrameLevels) -> npt.NDArray[np.int64]:
         """Balance the samples that the gains were measured from, find their bare phase, and what is ambient light.
@@ -170,7 +168,6 @@ class ChannelModel:
             if variance * count > (_MIN_VARIATION * background) ** 2 and covariance > 0:
                 share = 1 - modulation * variance / (covariance * background)
                 self._share = float(np.clip(share, 0, _MAX_AMBIENT))
-        self.ambient = float(self._share * background / max(count, 1.0))
         return runtime.to_host(self._histogram).astype(np.int64)  # synchronises
 
     def fit(
