@@ -1,6 +1,5 @@
 """What is known of the light: settings win over the calibration, and that over what a frame tells."""
 
-
 import numpy as np
 import pytest
 
