@@ -32,10 +32,9 @@ from tikernels._taichi import (
 from tikernels.launching import kernel
 from tikernels.unwrapping.tables import add_alone
 
-#: What a block's contrast deviates by beside the camera's noise (natural logarithm), each so many times the one before,
-#: and the one that is fitted with.
-_RATIO = 2.2
-SPREADS = tuple(0.009 * _RATIO**k for k in range(4))
+#: What a block's contrast deviates by beside the camera's noise (natural logarithm) where a symbol is one cell, each
+#: twice the one before; by half as much where a cycle has one symbol. And the one that is fitted with.
+SPREADS = (0.012, 0.024, 0.048, 0.096)
 FITTED = 0.016
 # How probably a block shows something else than the code, and how far that then lies off.
 _OTHER, _OTHER_SIGMA = 0.15, 0.2
@@ -184,11 +183,10 @@ def any_level(values: Static, left: Static, any_of: Static, f: i32, by_cycle: i3
     """Return the logarithm of the likelihood if each block, or each cycle, has one of the levels by itself."""
     shown, total, last = vec32(0.0), vec4(0.0), left.shape[1] - 1
     for n in range(last + 1):
-        spread = SPREADS[0]
         for k in range(4 * LEVELS):
+            spread = SPREADS[0] * (1 << k // LEVELS) / (1 + by_cycle)
             density = log_density(left[f, n] - any_of[1 + k % LEVELS], values[Row.VARIANCE, n], spread)
             shown[k] += values[Row.COUNTS, n] * density
-            spread *= ti.select(k % LEVELS == LEVELS - 1, _RATIO, 1.0)
         if by_cycle == 0 or n == last or values[Row.ORDER, n] != values[Row.ORDER, ti.min(n + 1, last)]:
             for spread in ti.static(range(4)):
                 mean = 0.0
@@ -250,7 +248,7 @@ def fit_factors_kernel(
             outside = logarithm(_OTHER / ti.sqrt(variance + _OTHER_SIGMA**2))
             inside = has_order(values, n, offset, levels.shape[1], response)
             for k in ti.static(range(4)):
-                density = ti.select(inside, log_density(departs[f, n], variance, SPREADS[k]), outside)
+                density = ti.select(inside, log_density(departs[f, n], variance, SPREADS[k] / (1 + by_cycle)), outside)
                 shown[k] += values[Row.COUNTS, n] * density
         out[f, 0] = log_mean(shown) - 0.5 * (cost + fit.dot(fit))
         out[f, 1] = 0.0

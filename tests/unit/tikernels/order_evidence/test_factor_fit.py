@@ -50,7 +50,7 @@ def densities(departs, variance, spread):
     return (1 - OTHER) * np.exp(-0.5 * departs**2 / near) / np.sqrt(near) + other
 
 
-def fitted(values, level, inside, gain, gain_sigma):
+def fitted(values, level, inside, gain, gain_sigma, spreads=SPREADS):
     """Return the likelihood of what a fit leaves of levels, the terms of the factor, and what it leaves."""
     values = values.astype(np.float64)
     usual = np.median(level) if gain is None else gain
@@ -64,7 +64,7 @@ def fitted(values, level, inside, gain, gain_sigma):
         fit = np.linalg.solve(normal, (terms.T * weights) @ departs)
     departs = departs - terms @ fit
     outside = np.log(OTHER / np.sqrt(variance + OTHER_SIGMA**2))
-    shown = [counts @ np.where(inside, np.log(densities(departs, variance, spread)), outside) for spread in SPREADS]
+    shown = [counts @ np.where(inside, np.log(densities(departs, variance, spread)), outside) for spread in spreads]
     likelihood = np.logaddexp.reduce(shown) - np.log(len(SPREADS)) - 0.5 * (fit @ fit + np.linalg.slogdet(normal)[1])
     return likelihood, [usual + gain_sigma * fit[0], *fit[1:]], departs
 
@@ -106,12 +106,14 @@ def test_blocks_without_the_code_as_the_twin(arch, by_cycle, count):
     found = fit_factors(
         values, levels, ANY_OF, np.array([3, 0]), np.array([1, EVEN]), 0.0, (None, 0.5), by_cycle=by_cycle
     )
-    likelihood, terms, departs = fitted(values, values[Row.LEVEL] - ANY_OF[0], np.ones(count, bool), None, 0.5)
+    spreads = np.array(SPREADS) / (2 if by_cycle else 1)
+    level, all_inside = values[Row.LEVEL] - ANY_OF[0], np.ones(count, bool)
+    likelihood, terms, departs = fitted(values, level, all_inside, None, 0.5, spreads)
     assert found.likelihood[1] == pytest.approx(likelihood, abs=2e-3, rel=1e-5)
     np.testing.assert_allclose(found.terms[:, 1], terms, atol=1e-4)
     cycle = values[Row.ORDER] if by_cycle else np.arange(count)
     total = []
-    for spread in SPREADS:
+    for spread in spreads:
         shown = np.log(densities(departs[:, None] - ANY_OF[1:], values[Row.VARIANCE, :, None], spread))
         shown = shown * values[Row.COUNTS, :, None]
         total.append(sum(np.log(np.exp(shown[cycle == each].sum(axis=0)).mean()) for each in np.unique(cycle)))
