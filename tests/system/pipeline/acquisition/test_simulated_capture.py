@@ -41,6 +41,7 @@ def rendered_here(monkeypatch):
 
 
 @pytest.mark.usefixtures("cpu", "rendered_here")
+@pytest.mark.filterwarnings("ignore:.* of the pixels show too little of the code")
 def test_a_head_that_turns_before_alternating_pictures():
     """The second picture has 0.85 of the light, and decodes to the same phase."""
     told = []
