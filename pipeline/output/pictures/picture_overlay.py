@@ -72,7 +72,7 @@ def darken(image: npt.NDArray[np.uint8], left: float, top: float, right: float, 
 
 @cache
 def _font_file() -> str:
-    """Return matplotlib's font, without importing matplotlib, which takes 0.2 s."""
+    """Return matplotlib's font, without importing matplotlib, which takes 0.2 s; a dependency is found."""
     (folder,) = find_spec("matplotlib").submodule_search_locations  # type: ignore[union-attr, misc]
     return str(Path(folder, "mpl-data", "fonts", "ttf", "DejaVuSans.ttf"))
 
