@@ -191,19 +191,19 @@ def estimate_light(image: LevelsImage, levels: FrameLevels, period_px: float, cy
         Too few pixels show a fringe.
     """
     model = ChannelModel(Gains(int(image.shape[0]), int(image.shape[1]), period_px))
-    matrix, floor, ripples = np.eye(3), _FLOOR / max(cycles, 1), []
+    matrix, floor, ripple = np.eye(3), _FLOOR / max(cycles, 1), 0.0
     for _ in range(_ROUNDS):
         crosstalk = Crosstalk.of(matrix)
         model.gains.measure(image, crosstalk, levels)
         histogram = model.recover(crosstalk, levels)
         correction = correction_table(histogram, resolved_harmonics(period_px))
-        ripples.append(float(correction.std()))
+        ripple = ripple or float(correction.std())  # before any crosstalk is undone
         harmonics = _channel_harmonics(model, correction)
         turn, constant_sigma = _turn(harmonics, floor)
         harmonics = harmonics * np.exp(-1j * turn * _ORDERS)
         matrices = np.stack([_matrix(row[:, 0]) for row in harmonics])
         matrix = matrices[0]
-    return _estimate(harmonics, matrices, constant_sigma, cycles, ripples[0])
+    return _estimate(harmonics, matrices, constant_sigma, cycles, ripple)
 
 
 def _estimate(
