@@ -11,7 +11,9 @@ constant length, computes on all of them whether the image goes on that far or n
         for k in range(STRIP): compute
         for k in range(count): copy the results out
 
-On Vulkan Taichi 1.7 compiles only one loop of a kernel with such vectors, so a second one is a kernel of its own.
+On Vulkan Taichi 1.7 compiles only one loop of a kernel with such vectors, so a second one is a kernel of its own. Mesa
+22.3's llvmpipe leaves a loop around those three early in a thread whose work group is not full, so each strip is a
+thread's own.
 
 Where a kernel does little but load and store, whole vectors are faster (`lanes.py`). Kernels that add up a strip need
 no copies. Those that compute little need none either, and still gain by the strip:

@@ -113,7 +113,7 @@ class ChannelModel:
         #: (H, Wb) rad, the samples' bare phase; NO_PHASE where there is none.
         self.phases = runtime.empty((height, columns), np.float32)
         self._histogram = runtime.empty((_TILES**2, BINS), np.int32)
-        strips = height * -(-columns // _SAMPLES_A_THREAD)
+        strips = height * -(-columns // LANES)
         self._moments = runtime.empty((strips, _MOMENTS), np.float32)
         template_strips = height * -(-columns // (_EVERY * _SAMPLES_A_THREAD))
         self._normal = runtime.empty((template_strips, _CORNERS + 3 * TERMS + 1), np.float32)
@@ -272,42 +272,39 @@ def recover_samples_kernel(
 ):
     """Balance the samples, take their phase and count it, and sum up each strip's modulation and background."""
     bins = out_histogram.shape[1]
-    for strip in range(samples.shape[0] * strip_count(samples.shape[1], _SAMPLES_A_THREAD)):
-        y, start, total = strip_at(strip, samples.shape[1], _SAMPLES_A_THREAD)
+    for strip in range(samples.shape[0] * strip_count(samples.shape[1], LANES)):
+        y, first, count = strip_at(strip, samples.shape[1], LANES)
         weights = matrix_of(phase_weights)
         light, color_gains = lanes_of_colors(0.0), lanes_of_colors(1.0)
         angle, place, moments = float_lanes(0.0), float_lanes(0.0), sample_moments(0.0)
-        row = y * _TILES // samples.shape[0] * _TILES
-        for part in range(strip_count(total, LANES)):
-            first, count = start + part * LANES, ti.min(LANES, total - part * LANES)
-            for k in range(count):
-                x = (first + k) * spacing_px + spacing_px // 2
-                fringed = ti.select(shows_fringe(sums, spacing_px // 2, y, first + k), 1.0, 0.0)
-                set_color(light, k, fringed * sample_at(samples, y, first + k))
-                set_color(color_gains, k, gain_at(gains, spacing_px, y, x))
-            for k in range(LANES):
-                seen, gain = color_of(light, k), color_of(color_gains, k)
-                vector = weighed_vector(seen, gain, weights)
-                modulation, background = modulation_of(vector), vector.z
-                whole = (seen.max() < max_level) & (k < count)
-                bare = arctangent(vector.y, vector.x)
-                angle[k] = ti.select(whole & (modulation > min_modulation), bare, NO_PHASE)
-                counts = is_lit(seen, 0.0, max_level) & (modulation > telling) & (k < count)
-                place[k] = ti.select(counts, place_in_cycle(bare, bins), -1.0)
-                tells = ti.select(whole & (modulation > telling), 1.0, 0.0)
-                moments[0, k] += tells
-                moments[1, k] += tells * modulation
-                moments[2, k] += tells * background
-                moments[3, k] += tells * background * background
-                moments[4, k] += tells * background * modulation
-                set_color(light, k, seen * gain)
-            tile = row + first * _TILES // samples.shape[1]
-            for k in range(count):
-                out_phase[y, first + k] = angle[k]
-                if place[k] >= 0.0:
-                    out_histogram[tile, ti.min(ti.cast(place[k], i32), bins - 1)] += 1
-                for c in ti.static(range(3)):
-                    out_balanced[y, first + k, c] = light[c, k]
+        tile = y * _TILES // samples.shape[0] * _TILES + first * _TILES // samples.shape[1]
+        for k in range(count):
+            x = (first + k) * spacing_px + spacing_px // 2
+            fringed = ti.select(shows_fringe(sums, spacing_px // 2, y, first + k), 1.0, 0.0)
+            set_color(light, k, fringed * sample_at(samples, y, first + k))
+            set_color(color_gains, k, gain_at(gains, spacing_px, y, x))
+        for k in range(LANES):
+            seen, gain = color_of(light, k), color_of(color_gains, k)
+            vector = weighed_vector(seen, gain, weights)
+            modulation, background = modulation_of(vector), vector.z
+            whole = (seen.max() < max_level) & (k < count)
+            bare = arctangent(vector.y, vector.x)
+            angle[k] = ti.select(whole & (modulation > min_modulation), bare, NO_PHASE)
+            counts = is_lit(seen, 0.0, max_level) & (modulation > telling) & (k < count)
+            place[k] = ti.select(counts, place_in_cycle(bare, bins), -1.0)
+            tells = ti.select(whole & (modulation > telling), 1.0, 0.0)
+            moments[0, k] = tells
+            moments[1, k] = tells * modulation
+            moments[2, k] = tells * background
+            moments[3, k] = tells * background * background
+            moments[4, k] = tells * background * modulation
+            set_color(light, k, seen * gain)
+        for k in range(count):
+            out_phase[y, first + k] = angle[k]
+            if place[k] >= 0.0:
+                out_histogram[tile, ti.min(ti.cast(place[k], i32), bins - 1)] += 1
+            for c in ti.static(range(3)):
+                out_balanced[y, first + k, c] = light[c, k]
         for n in ti.static(range(_MOMENTS)):
             moment = 0.0
             for k in range(LANES):
