@@ -20,11 +20,11 @@ from tikernels.order_evidence.offset_labelling import (
     Links,
     OffsetEvidence,
     connected_parts,
-    find_other_offsets,
     pool_evidence,
     settle_labels,
     weigh_offsets,
 )
+from tikernels.order_evidence.offset_windows import Cells, find_other_offsets
 from tikernels.unwrapping.patches import PatchGraph
 from tikernels.unwrapping.tables import CELL_HEIGHT, CELL_WIDTH
 
@@ -97,7 +97,8 @@ def cut_regions(
         number[own] = np.arange(len(own))
         support = np.clip(graph.votes[within] / _FULL_SUPPORT, 0, 1)
         shares = number[blocks.block[shares]], holder, blocks.share[shares]
-        cells = graph.first[patches] // width // CELL_HEIGHT, graph.first[patches] % width // CELL_WIDTH
+        row, column = np.divmod(graph.first[patches], width)
+        cells = Cells.of(row // CELL_HEIGHT, column // CELL_WIDTH)
         shown = _shown(reader, own, shares, offsets, cells)
         labels = _labels(shown, ends, support)
         if labels is None:
@@ -122,8 +123,8 @@ class _Shown(NamedTuple):
 
     evidence: OffsetEvidence
     own: int  # the region's offset, counted from the first one
-    window: Integers  # (P,) number of the window that shows another offset; -1: none
-    named: Integers  # (K,) the offset that each window shows, the surest first
+    window: Integers  # (P,) number of the window or piece that shows another offset; -1: none
+    named: Integers  # (K,) the offset that each of these shows, the surest first
     gain: npt.NDArray[np.float32]  # (K,) by how much that is better, in variances
 
 
@@ -132,7 +133,7 @@ def _shown(
     own: Integers,
     held: tuple[Integers, Integers, FloatArray],
     offsets: range,
-    cells: tuple[Integers, Integers],
+    cells: Cells,
 ) -> _Shown:
     """Weigh the blocks of a region, less its factor, against the code at each offset, and look for other ones."""
     blocks, best = reader.blocks, reader.read(own).best
@@ -142,15 +143,15 @@ def _shown(
     sigma = np.sqrt(blocks.variance[own] + max(_MIN_SIGMA, robust_sigma(departs - usual)) ** 2)
     columns = reader.columns[own] / np.float32(reader.code.repeats_px)
     shares = held[0], held[1], _COUNTS * held[2]
-    code, patches = reader.levels_now, len(cells[0])
+    code, patches = reader.levels_now, len(cells.row)
     evidence = weigh_offsets(
         shares, blocks.order[own], level - usual, sigma, columns, code, offsets, patches, _MAX_DEVIATION
     )
-    counts = np.ones(len(_WINDOWS))
-    if reader.code.cell_px is None:  # all blocks of a cycle show the same
-        counts = np.minimum(counts, OF_CYCLE / (_COUNTS * BLOCKS * _WINDOWS[:, 1]))
-    number = best - offsets.start
-    found = find_other_offsets(evidence, cells, number, _WINDOWS, counts, common=_OFF_ALIKE**2, least=_LEAST)
+    bright = np.bincount(shares[1], shares[2] * np.log(blocks.brightness[own])[shares[0]], patches)
+    # Under the code of cycles all blocks of a cycle show the same.
+    most_columns = np.inf if reader.code.cell_px is not None else OF_CYCLE / (_COUNTS * BLOCKS)
+    number, rule = best - offsets.start, {"common": _OFF_ALIKE**2, "least": _LEAST, "most_columns": most_columns}
+    found = find_other_offsets(evidence, cells, bright, number, _WINDOWS, **rule)
     return _Shown(evidence, number, *found)
 
 

@@ -1,12 +1,10 @@
 """Label the patches of a region with the offsets that their code names, weighing all offsets and all patches at once.
 
-Each patch has evidence: by how much its blocks deviate from the code at every offset. A patch alone tells little, so
-windows of several sizes are laid everywhere over the region. The blocks in a window may all be off alike, as those of
-another paint are; apart from that, the likelihood ratio of two offsets tells which of them the window shows. The labels
-start from the windows that tell another offset than the region's, and from evidence pooled along contacts, and settle
-between what a patch shows and what its neighbours are labelled with, a step at every contact that separates two labels
-costing more the better the contact is supported: a Potts model, by iterated conditional modes (J. Besag, On the
-statistical analysis of dirty pictures, J. R. Statist. Soc. B 48, 259, 1986).
+Each patch has evidence: by how much its blocks deviate from the code at every offset. A patch alone tells little. The
+labels start from the windows and pieces that show another offset than the region's (`offset_windows.py`), and from
+evidence pooled along contacts, and settle between what a patch shows and what its neighbours are labelled with, a step
+at every contact that separates two labels costing more the better the contact is supported: a Potts model, by iterated
+conditional modes (J. Besag, On the statistical analysis of dirty pictures, J. R. Statist. Soc. B 48, 259, 1986).
 """
 
 from typing import NamedTuple
@@ -17,11 +15,8 @@ import numpy.typing as npt
 from tikernels._taichi import (
     F32Array1,
     F32Array2,
-    F32Array3,
     I32Array1,
     I32Array2,
-    I32Array3,
-    Static,
     Vec16Array1,
     Vec16Array2,
     f32,
@@ -70,88 +65,6 @@ def weigh_offsets_kernel(
                 square[k] = depart[k] * depart[k]
             add_alone(out_squares[patch[m], group], share[m] * square)
             add_alone(out_departs[patch[m], group], share[m] * depart)
-
-
-@kernel
-def sum_tables_kernel(
-    patch: I32Array1,  # (P,) sorted by cell
-    starts: I32Array1,  # (R * C + 1,) where each cell's begin
-    columns: i32,  # C, of cells
-    values: Vec16Array2,  # (P, groups)
-    out_table: Vec16Array2,  # ((R + 1) * (C + 1), groups) sum of all cells before; 0 to begin with
-):
-    """Sum up the patches of a grid's cells above and to the left: four places of the table give a window's sum."""
-    for group in range(values.shape[1]):
-        for row in range((starts.shape[0] - 1) // columns):
-            total = vec16(0.0)
-            for column in range(columns):
-                cell = row * columns + column
-                for p in range(starts[cell], starts[cell + 1]):
-                    total += values[patch[p], group]
-                here = (row + 1) * (columns + 1) + column + 1
-                out_table[here, group] = total + out_table[here - columns - 1, group]
-
-
-@ti.func
-def window_sum(table: Static, corner: i32, below: i32, beside: i32, group: i32):
-    """Return the sum of the cells between a place of a table, and those so far below and beside it."""
-    all_of = table[corner + below + beside, group] - table[corner + below, group]
-    return all_of - table[corner + beside, group] + table[corner, group]
-
-
-@ti.func
-def window_remains(squares: Static, departs: Static, scale: f32, corner: i32, below: i32, beside: i32, group: i32):
-    """Return what is left of a window's squares where its blocks are all off alike."""
-    depart = window_sum(departs, corner, below, beside, group)
-    return window_sum(squares, corner, below, beside, group) - scale * depart * depart
-
-
-@ti.func
-def best_offset(
-    squares: Static, departs: Static, scale: f32, corner: i32, below: i32, beside: i32, offsets: i32, own: i32, now: f32
-):
-    """Return which offset leaves least of a window's squares, and by how much less than the region's."""
-    best, better = own, 0.0
-    for group in range(squares.shape[1]):
-        remains = window_remains(squares, departs, scale, corner, below, beside, group)
-        for k in ti.static(range(LANES)):
-            if group * LANES + k < offsets and now - remains[k] > better:
-                best, better = group * LANES + k, now - remains[k]
-    return best, better
-
-
-@kernel
-def scan_windows_kernel(
-    windows: I32Array2,  # (W, 2) cells, rows by columns
-    weights: F32Array2,  # ((R + 1) * (C + 1), 1) table of what the blocks count
-    squares: Vec16Array2,  # table, ((R + 1) * (C + 1), groups)
-    departs: Vec16Array2,  # table
-    offsets: i32,  # how many there are
-    own: i32,  # the region's
-    common: f32,  # variance of what all blocks of a window may be off alike, in variances
-    least: f32,  # where no offset can be better by more, none is looked at
-    out_gain: F32Array3,  # (W, R, C) by how much another offset is better, in variances
-    out_offset: I32Array3,  # (W, R, C) the best offset
-):
-    """Find for each window, by its first cell, which offset its blocks fit best, and by how much better than theirs."""
-    for row, column in ti.ndrange(out_gain.shape[1], out_gain.shape[2]):
-        for w in range(windows.shape[0]):
-            best, better = own, 0.0
-            # Large ones are laid wider apart.
-            high, wide = windows[w, 0], windows[w, 1]
-            steps = row % ti.max(high // 4, 1) + column % ti.max(wide // 4, 1)
-            if steps == 0 and row + high <= out_gain.shape[1] and column + wide <= out_gain.shape[2]:
-                line = out_gain.shape[2] + 1
-                corner, below = row * line + column, high * line
-                scale = 1 / (window_sum(weights, corner, below, wide, 0) + 1 / common)
-                remains = window_remains(squares, departs, scale, corner, below, wide, own // LANES)
-                now = 0.0
-                for k in ti.static(range(LANES)):
-                    now += ti.select(k == own % LANES, remains[k], 0.0)
-                if now > least:
-                    best, better = best_offset(squares, departs, scale, corner, below, wide, offsets, own, now)
-            out_gain[w, row, column] = better
-            out_offset[w, row, column] = best
 
 
 @kernel
@@ -279,73 +192,6 @@ def weigh_offsets(
     expected = np.ascontiguousarray(columns, np.float32), np.ascontiguousarray(code, np.float32)
     weigh_offsets_kernel(block, patch, share, *seen, *expected, offsets.start, most, sums[0], sums[1])
     return OffsetEvidence(sums[0], sums[1], np.bincount(patch, share, count).astype(np.float32), len(offsets))
-
-
-def find_other_offsets(
-    evidence: OffsetEvidence,
-    cells: tuple[npt.NDArray[np.integer], npt.NDArray[np.integer]],
-    own: int,
-    windows: npt.NDArray[np.int32],
-    counts: npt.NDArray[np.floating],
-    *,
-    common: float,
-    least: float,
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.float32]]:
-    """Find windows whose blocks show another offset than the region's; where they overlap the one that shows it best.
-
-    Parameters
-    ----------
-    evidence : OffsetEvidence
-        Of the patches.
-    cells : two (P,) int
-        Row and column of each patch in the image's grid.
-    own : int
-        The region's offset, counted from the first one.
-    windows : (W, 2) int32
-        Rows and columns of cells.
-    counts : (W,) float
-        As how much their evidence counts.
-    common : float
-        Variance of what all blocks of a window may be off alike, in their own variances.
-    least : float
-        By how much the other offset must be better, in variances.
-
-    Returns
-    -------
-    (P,) int64
-        Number of each patch's window, -1 without one.
-    (K,) int64
-        The offset that each window shows, the best window first.
-    (K,) float32
-        By how much it is better, in variances.
-    """
-    row, column = (np.asarray(place - place.min(), np.int64) for place in cells)
-    rows, columns = int(row.max()) + 1, int(column.max()) + 1
-    windows = np.minimum(windows, (rows, columns)).astype(np.int32)
-    cell = row * columns + column
-    sort = np.argsort(cell, kind="stable")
-    starts = np.searchsorted(cell[sort], np.arange(rows * columns + 1)).astype(np.int32)
-    groups = evidence.squares.shape[1]
-    tables = np.zeros((2, (rows + 1) * (columns + 1), groups, LANES), np.float32)
-    for values, table in zip((evidence.squares, evidence.departs), tables, strict=True):
-        sum_tables_kernel(sort.astype(np.int32), starts, columns, values, table)
-    weights = np.zeros((rows + 1, columns + 1), np.float32)
-    weights[1:, 1:] = np.bincount(cell, evidence.weight, rows * columns).reshape(rows, columns).cumsum(0).cumsum(1)
-    gain = np.empty((len(windows), rows, columns), np.float32)
-    offset = np.empty(gain.shape, np.int32)
-    summed = weights.reshape(-1, 1), tables[0], tables[1]
-    scan_windows_kernel(windows, *summed, evidence.offsets, own, common, least, gain, offset)
-    gain *= counts[:, None, None]
-    of_window = np.full((rows, columns), -1, np.int64)
-    chosen: list[tuple[int, int, int]] = []
-    found = np.nonzero(gain > least)
-    for w, top, left in np.transpose(found)[np.argsort(-gain[found], kind="stable")]:
-        window = np.s_[top : top + windows[w, 0], left : left + windows[w, 1]]
-        if (of_window[window] < 0).all():
-            of_window[window] = len(chosen)
-            chosen.append((w, top, left))
-    best = tuple(np.array(chosen, np.int64).reshape(-1, 3).T)
-    return of_window[row, column], offset[best].astype(np.int64), gain[best]
 
 
 def pool_evidence(

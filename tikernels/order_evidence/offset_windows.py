@@ -1,0 +1,282 @@
+"""Find where in a region the code shows another offset than the region's: in windows, and in pieces of like brightness.
+
+A patch alone tells little, so windows of several sizes are laid everywhere over the grid of cells. A surface that is
+joined across a step of whole cycles is seldom a rectangle, but mostly brighter or darker than what is behind it: so the
+pieces of cells that hang together above and below some levels of brightness are asked as well (the extremal regions of
+J. Matas et al., Robust wide baseline stereo from maximally stable extremal regions, BMVC 2002). All blocks of a window
+or a piece may be off alike, as those of another paint are; apart from that, the likelihood ratio of two offsets tells
+which of them it shows.
+"""
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from tikernels._taichi import (
+    F32Array2,
+    F32Array3,
+    I32Array1,
+    I32Array2,
+    I32Array3,
+    Static,
+    Vec16Array2,
+    f32,
+    i32,
+    ti,
+    vec16,
+)
+from tikernels.launching import kernel
+from tikernels.order_evidence.offset_labelling import LANES, OffsetEvidence
+
+# Levels of brightness, evenly spaced between these quantiles of the cells'.
+_LEVELS, _FROM_TO = 8, (0.02, 0.98)
+# Pieces of fewer cells than the smallest windows are not asked.
+_LEAST_CELLS = 9
+
+
+@kernel
+def sum_tables_kernel(
+    patch: I32Array1,  # (P,) sorted by cell
+    starts: I32Array1,  # (R * C + 1,) where each cell's begin
+    columns: i32,  # C, of cells
+    values: Vec16Array2,  # (P, groups)
+    out_table: Vec16Array2,  # ((R + 1) * (C + 1), groups) sum of all cells before; 0 to begin with
+):
+    """Sum up the patches of a grid's cells above and to the left: four places of the table give a window's sum."""
+    for group in range(values.shape[1]):
+        for row in range((starts.shape[0] - 1) // columns):
+            total = vec16(0.0)
+            for column in range(columns):
+                cell = row * columns + column
+                for p in range(starts[cell], starts[cell + 1]):
+                    total += values[patch[p], group]
+                here = (row + 1) * (columns + 1) + column + 1
+                out_table[here, group] = total + out_table[here - columns - 1, group]
+
+
+@ti.func
+def window_sum(table: Static, corner: i32, below: i32, beside: i32, group: i32):
+    """Return the sum of the cells between a place of a table, and those so far below and beside it."""
+    all_of = table[corner + below + beside, group] - table[corner + below, group]
+    return all_of - table[corner + beside, group] + table[corner, group]
+
+
+@ti.func
+def window_remains(squares: Static, departs: Static, scale: f32, corner: i32, below: i32, beside: i32, group: i32):
+    """Return what is left of a window's squares where its blocks are all off alike."""
+    depart = window_sum(departs, corner, below, beside, group)
+    return window_sum(squares, corner, below, beside, group) - scale * depart * depart
+
+
+@ti.func
+def best_offset(
+    squares: Static, departs: Static, scale: f32, corner: i32, below: i32, beside: i32, offsets: i32, own: i32, now: f32
+):
+    """Return which offset leaves least of a window's squares, and by how much less than the region's."""
+    best, better = own, 0.0
+    for group in range(squares.shape[1]):
+        remains = window_remains(squares, departs, scale, corner, below, beside, group)
+        for k in ti.static(range(LANES)):
+            if group * LANES + k < offsets and now - remains[k] > better:
+                best, better = group * LANES + k, now - remains[k]
+    return best, better
+
+
+@kernel
+def scan_windows_kernel(
+    windows: I32Array2,  # (W, 2) cells, rows by columns
+    weights: F32Array2,  # ((R + 1) * (C + 1), 1) table of what the blocks count
+    squares: Vec16Array2,  # table, ((R + 1) * (C + 1), groups)
+    departs: Vec16Array2,  # table
+    offsets: i32,  # how many there are
+    own: i32,  # the region's
+    common: f32,  # variance of what all blocks of a window may be off alike, in variances
+    least: f32,  # where no offset can be better by more, none is looked at
+    out_gain: F32Array3,  # (W, R, C) by how much another offset is better, in variances
+    out_offset: I32Array3,  # (W, R, C) the best offset
+):
+    """Find for each window, by its first cell, which offset its blocks fit best, and by how much better than theirs."""
+    for row, column in ti.ndrange(out_gain.shape[1], out_gain.shape[2]):
+        for w in range(windows.shape[0]):
+            best, better = own, 0.0
+            # Large ones are laid wider apart.
+            high, wide = windows[w, 0], windows[w, 1]
+            steps = row % ti.max(high // 4, 1) + column % ti.max(wide // 4, 1)
+            if steps == 0 and row + high <= out_gain.shape[1] and column + wide <= out_gain.shape[2]:
+                line = out_gain.shape[2] + 1
+                corner, below = row * line + column, high * line
+                scale = 1 / (window_sum(weights, corner, below, wide, 0) + 1 / common)
+                remains = window_remains(squares, departs, scale, corner, below, wide, own // LANES)
+                now = 0.0
+                for k in ti.static(range(LANES)):
+                    now += ti.select(k == own % LANES, remains[k], 0.0)
+                if now > least:
+                    best, better = best_offset(squares, departs, scale, corner, below, wide, offsets, own, now)
+            out_gain[w, row, column] = better
+            out_offset[w, row, column] = best
+
+
+class Cells(NamedTuple):
+    """Where a region's patches are in the image's grid of cells, counted from the region's first ones."""
+
+    row: npt.NDArray[np.int64]
+    """(P,)"""
+    column: npt.NDArray[np.int64]
+    """(P,)"""
+    rows: int
+    columns: int
+
+    @classmethod
+    def of(cls, row: npt.NDArray[np.integer], column: npt.NDArray[np.integer]) -> "Cells":
+        """Count rows and columns of the image's grid from the region's first ones."""
+        row, column = (np.asarray(place - place.min(), np.int64) for place in (row, column))
+        return cls(row, column, int(row.max()) + 1, int(column.max()) + 1)
+
+    @property
+    def number(self) -> npt.NDArray[np.int64]:
+        """(P,) number of each patch's cell, row by row."""
+        return self.row * self.columns + self.column
+
+
+class _Found(NamedTuple):
+    """Windows or pieces: which cells they are, which offset they show, and by how much it is better than the region's."""
+
+    cells: list[tuple[slice, slice] | npt.NDArray[np.bool_]]
+    offset: npt.NDArray[np.integer]
+    gain: npt.NDArray[np.floating]
+
+
+def find_other_offsets(
+    evidence: OffsetEvidence,
+    cells: Cells,
+    brightness: npt.NDArray[np.floating],
+    own: int,
+    windows: npt.NDArray[np.int32],
+    *,
+    most_columns: float,
+    common: float,
+    least: float,
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.float32]]:
+    """Find windows and pieces whose blocks show another offset than the region's; of those that overlap the surest.
+
+    Parameters
+    ----------
+    evidence : OffsetEvidence
+        Of the patches.
+    cells : Cells
+        Where they are.
+    brightness : (P,) float
+        The logarithm of their blocks' brightness, times as how much they count.
+    own : int
+        The region's offset, counted from the first one.
+    windows : (W, 2) int32
+        Rows and columns of cells.
+    most_columns : float
+        As how many columns of cells a row of them counts at most; inf if each shows symbols of its own.
+    common : float
+        Variance of what all blocks of a window may be off alike, in their own variances.
+    least : float
+        By how much the other offset must be better, in variances.
+
+    Returns
+    -------
+    (P,) int64
+        Number of each patch's window or piece, -1 without one.
+    (K,) int64
+        The offset that each of these shows, the surest first.
+    (K,) float32
+        By how much it is better, in variances.
+    """
+    scanned = _scan(evidence, cells, own, windows, most_columns, common, least)
+    pieces = _pieces(evidence, cells, brightness, own, most_columns, common, least)
+    places, gain = scanned.cells + pieces.cells, np.append(scanned.gain, pieces.gain)
+    taken = np.full((cells.rows, cells.columns), -1, np.int64)
+    chosen: list[int] = []
+    for k in np.argsort(-gain, kind="stable"):
+        if (taken[places[k]] < 0).all():
+            taken[places[k]] = len(chosen)
+            chosen.append(k)
+    offset = np.append(scanned.offset, pieces.offset)[chosen].astype(np.int64)
+    return taken[cells.row, cells.column], offset, gain[chosen].astype(np.float32)
+
+
+def _scan(
+    evidence: OffsetEvidence,
+    cells: Cells,
+    own: int,
+    windows: npt.NDArray[np.int32],
+    most_columns: float,
+    common: float,
+    least: float,
+) -> _Found:
+    """Lay windows everywhere."""
+    rows, columns = cells.rows, cells.columns
+    windows = np.minimum(windows, (rows, columns)).astype(np.int32)
+    cell = cells.number
+    sort = np.argsort(cell, kind="stable")
+    starts = np.searchsorted(cell[sort], np.arange(rows * columns + 1)).astype(np.int32)
+    groups = evidence.squares.shape[1]
+    tables = np.zeros((2, (rows + 1) * (columns + 1), groups, LANES), np.float32)
+    for values, table in zip((evidence.squares, evidence.departs), tables, strict=True):
+        sum_tables_kernel(sort.astype(np.int32), starts, columns, values, table)
+    weights = np.zeros((rows + 1, columns + 1), np.float32)
+    weights[1:, 1:] = np.bincount(cell, evidence.weight, rows * columns).reshape(rows, columns).cumsum(0).cumsum(1)
+    gain = np.empty((len(windows), rows, columns), np.float32)
+    offset = np.empty(gain.shape, np.int32)
+    summed = weights.reshape(-1, 1), tables[0], tables[1]
+    scan_windows_kernel(windows, *summed, evidence.offsets, own, common, least, gain, offset)
+    gain *= np.minimum(1, most_columns / windows[:, 1])[:, None, None]
+    found = np.nonzero(gain > least)
+    high, wide = windows[found[0]].T
+    places = [
+        (slice(top, bottom), slice(left, right))
+        for top, bottom, left, right in np.transpose([found[1], found[1] + high, found[2], found[2] + wide]).tolist()
+    ]
+    return _Found(places, offset[found], gain[found])
+
+
+def _pieces(
+    evidence: OffsetEvidence,
+    cells: Cells,
+    brightness: npt.NDArray[np.floating],
+    own: int,
+    most_columns: float,
+    common: float,
+    least: float,
+) -> _Found:
+    """Ask the pieces above and below levels of brightness. Of more than half of the cells the region has its offset."""
+    cell, count, shape = cells.number, cells.rows * cells.columns, (cells.rows, cells.columns)
+    weight = np.bincount(cell, evidence.weight, count)
+    seen = weight > 0
+    bright = np.bincount(cell, brightness, count)[seen] / weight[seen]
+    squares, departs = (
+        values.reshape(len(cell), -1)[:, : evidence.offsets] for values in (evidence.squares, evidence.departs)
+    )
+    places, offsets, gains = [], [], []
+    for level in np.linspace(*np.quantile(bright, _FROM_TO), _LEVELS + 2)[1:-1]:
+        for held in (bright > level, bright < level):
+            above = np.zeros(count, np.uint8)
+            above[seen] = held
+            _, pieces, boxes, _ = cv2.connectedComponentsWithStats(above.reshape(shape), connectivity=4)
+            size = boxes[:, cv2.CC_STAT_AREA]
+            asked = 1 + np.flatnonzero((size[1:] >= _LEAST_CELLS) & (2 * size[1:] < seen.sum()))
+            of_patch = pieces.ravel()[cell]
+            within = np.flatnonzero(np.isin(of_patch, asked))
+            if len(within) == 0:
+                continue
+            within = within[np.argsort(of_patch[within], kind="stable")]
+            starts = np.searchsorted(of_patch[within], asked)
+            square, depart, total = (
+                np.add.reduceat(values[within], starts, axis=0) for values in (squares, departs, evidence.weight)
+            )
+            remains = square - depart**2 / (total + 1 / common)[:, None]
+            best = remains.argmin(axis=1)
+            gain = remains[:, own] - remains[np.arange(len(asked)), best]
+            gain *= np.minimum(1, most_columns * boxes[asked, cv2.CC_STAT_HEIGHT] / size[asked])
+            for k in np.flatnonzero(gain > least):
+                places.append(pieces == asked[k])
+                offsets.append(best[k])
+                gains.append(gain[k])
+    return _Found(places, np.array(offsets, np.int64), np.array(gains, np.float32))
