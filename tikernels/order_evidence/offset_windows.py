@@ -141,7 +141,7 @@ class Cells(NamedTuple):
 
 
 class _Found(NamedTuple):
-    """Windows or pieces: which cells they are, which offset they show, and by how much it is better than the region's."""
+    """Windows or pieces: their cells, the offset that they show, and by how much it is better than the region's."""
 
     cells: list[tuple[slice, slice] | npt.NDArray[np.bool_]]
     offset: npt.NDArray[np.integer]

@@ -3,11 +3,8 @@
 import numpy as np
 
 from tikernels.order_evidence.offset_labelling import (
-    LANES,
     Links,
-    OffsetEvidence,
     connected_parts,
-    find_other_offsets,
     pool_evidence,
     settle_labels,
     weigh_offsets,
@@ -45,44 +42,6 @@ def test_deviations_as_the_twin(arch):
     np.testing.assert_allclose(evidence.of(np.arange(len(offsets))), squares, rtol=1e-4, atol=1e-3)
     np.testing.assert_allclose(evidence.departs.reshape(COUNT, -1)[:, : len(offsets)], departs, rtol=1e-4, atol=1e-3)
     np.testing.assert_allclose(evidence.weight, np.bincount(held[1], held[2], COUNT), rtol=1e-5)
-
-
-def random_evidence(own):
-    """Return evidence of each patch of a grid for 40 offsets, most against the region's own."""
-    rng = np.random.default_rng(3)
-    departs, weight = rng.normal(0, 2, (COUNT, 48)), rng.uniform(1, 3, COUNT)
-    squares = departs**2 / weight[:, None] + rng.uniform(0, 9, departs.shape)
-    squares[:, own] += 6
-    held = squares.astype(np.float32), departs.astype(np.float32), weight.astype(np.float32)
-    return OffsetEvidence(held[0].reshape(COUNT, 3, LANES), held[1].reshape(COUNT, 3, LANES), held[2], 40)
-
-
-def test_windows_as_the_twin(arch):
-    """The best windows first, none over another one; larger than the region they are as large as it."""
-    own, common, windows = 21, 4.0, np.array([[2, 3], [1, 1], [5, 4], [99, 2]])
-    evidence, counts = random_evidence(own), np.array([1.0, 0.5, 1.0, 1.0])
-    row, column = np.divmod(np.arange(COUNT), COLUMNS)
-    squares, departs = (values.reshape(COUNT, -1)[:, :40] for values in evidence[:2])
-    found = []
-    for (high, wide), count in zip(np.minimum(windows, [ROWS, COLUMNS]), counts, strict=True):
-        for top in range(0, ROWS - high + 1, max(high // 4, 1)):
-            for left in range(0, COLUMNS - wide + 1, max(wide // 4, 1)):
-                within = (row >= top) & (row < top + high) & (column >= left) & (column < left + wide)
-                remains = squares[within].sum(axis=0)
-                remains -= departs[within].sum(axis=0) ** 2 / (evidence.weight[within].sum() + 1 / common)
-                found.append((count * (remains[own] - remains.min()), within, remains.argmin()))
-    expected, named, better = np.full(COUNT, -1), [], []
-    for gain, within, offset in sorted(found, key=lambda window: -window[0]):
-        if gain > 2.0 and (expected[within] < 0).all():
-            expected[within] = len(named)
-            named.append(offset)
-            better.append(gain)
-    assert len(named) > 4
-    chosen = {"common": common, "least": 2.0}
-    window, offsets, gain = find_other_offsets(evidence, (row + 7, column + 2), own, windows, counts, **chosen)
-    np.testing.assert_array_equal(window, expected)
-    np.testing.assert_array_equal(offsets, named)
-    np.testing.assert_allclose(gain, better, rtol=1e-4)
 
 
 def test_what_is_pooled_as_the_twin(arch):
