@@ -250,33 +250,33 @@ def _pieces(
     cell, count, shape = cells.number, cells.rows * cells.columns, (cells.rows, cells.columns)
     weight = np.bincount(cell, evidence.weight, count)
     seen = weight > 0
-    bright = np.bincount(cell, brightness, count)[seen] / weight[seen]
-    squares, departs = (
-        values.reshape(len(cell), -1)[:, : evidence.offsets] for values in (evidence.squares, evidence.departs)
+    bright = np.full(count, np.nan, np.float32)
+    bright[seen] = np.bincount(cell, brightness, count)[seen] / weight[seen]
+    levels = np.linspace(*np.quantile(bright[seen], _FROM_TO), _LEVELS + 2)[1:-1, None]
+    found = [
+        cv2.connectedComponentsWithStats(held.reshape(shape).astype(np.uint8), connectivity=4)
+        for held in np.concatenate([bright > levels, bright < levels])
+    ]
+    boxes = np.concatenate([box for _, _, box, _ in found])
+    size, firsts = boxes[:, cv2.CC_STAT_AREA], np.cumsum([0, *(number for number, *_ in found)])[:-1]
+    asked = (size >= _LEAST_CELLS) & (2 * size < seen.sum())
+    asked[firsts] = False  # what lies on the other side of the level
+    of_patch = np.stack([labels.ravel()[cell] for _, labels, *_ in found]) + firsts[:, None]
+    held = np.flatnonzero(asked[of_patch])
+    if len(held) == 0:
+        return _Found([], np.zeros(0, np.int64), np.zeros(0, np.float32))
+    held = held[np.argsort(of_patch.ravel()[held], kind="stable")]
+    starts = np.flatnonzero(np.diff(of_patch.ravel()[held], prepend=-1))
+    number, patch = of_patch.ravel()[held[starts]], held % len(cell)
+    squares, departs, weights = (
+        np.add.reduceat(values.reshape(len(cell), -1)[patch], starts, axis=0)
+        for values in (evidence.squares, evidence.departs, evidence.weight)
     )
-    places, offsets, gains = [], [], []
-    for level in np.linspace(*np.quantile(bright, _FROM_TO), _LEVELS + 2)[1:-1]:
-        for held in (bright > level, bright < level):
-            above = np.zeros(count, np.uint8)
-            above[seen] = held
-            _, pieces, boxes, _ = cv2.connectedComponentsWithStats(above.reshape(shape), connectivity=4)
-            size = boxes[:, cv2.CC_STAT_AREA]
-            asked = 1 + np.flatnonzero((size[1:] >= _LEAST_CELLS) & (2 * size[1:] < seen.sum()))
-            of_patch = pieces.ravel()[cell]
-            within = np.flatnonzero(np.isin(of_patch, asked))
-            if len(within) == 0:
-                continue
-            within = within[np.argsort(of_patch[within], kind="stable")]
-            starts = np.searchsorted(of_patch[within], asked)
-            square, depart, total = (
-                np.add.reduceat(values[within], starts, axis=0) for values in (squares, departs, evidence.weight)
-            )
-            remains = square - depart**2 / (total + 1 / common)[:, None]
-            best = remains.argmin(axis=1)
-            gain = remains[:, own] - remains[np.arange(len(asked)), best]
-            gain *= np.minimum(1, most_columns * boxes[asked, cv2.CC_STAT_HEIGHT] / size[asked])
-            for k in np.flatnonzero(gain > least):
-                places.append(pieces == asked[k])
-                offsets.append(best[k])
-                gains.append(gain[k])
-    return _Found(places, np.array(offsets, np.int64), np.array(gains, np.float32))
+    remains = (squares - departs**2 / (weights + 1 / common))[:, : evidence.offsets]
+    best = remains.argmin(axis=1)
+    gain = remains[:, own] - remains.min(axis=1)
+    gain *= np.minimum(1, most_columns * boxes[number, cv2.CC_STAT_HEIGHT] / size[number])
+    shown = np.flatnonzero(gain > least)
+    level = np.searchsorted(firsts, number[shown], side="right") - 1
+    places = [found[k][1] == n - firsts[k] for k, n in zip(level, number[shown], strict=True)]
+    return _Found(places, best[shown], gain[shown])
