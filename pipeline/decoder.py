@@ -285,7 +285,7 @@ class Decoder:
             patches.place(work.phase, rays.rays, rays.projector, self._orders.expected_depth_mm)
         patches.set_orders(*placement.offsets())
         rows = replace(surface, unwrapped=work.unwrapped)
-        regions = patches.write(work.phase, rates, rows.unwrapped, rows.mask, rows.region)
+        regions = patches.write(work.phase, work.brightness, rates, rows.unwrapped, rows.mask, rows.region)
         orders = placement.region_orders(patches, regions, memory)
         corrected, lost = self._orders.refine(seen, work.raw_phase, regions, orders, placement.shift_px, out=rows)
         if corrected:

@@ -53,7 +53,7 @@ def join(phase: Phase, quality: Phase | None = None, given: GivenRegions | None 
 def written(patches: Patches, phase: Phase, rates: Phase) -> tuple[Phase, npt.NDArray[np.uint8], npt.NDArray[np.int32]]:
     """Return the unwrapped phase, the mask and the region that patches make."""
     outputs = tuple(runtime.empty(phase.shape, dtype) for dtype in (np.float32, np.uint8, np.int32))
-    patches.write(phase, rates, *outputs)
+    patches.write(phase, np.ones(phase.shape, np.float32), rates, *outputs)
     unwrapped, mask, region = (np.array(runtime.to_host(output)) for output in outputs)
     return unwrapped, mask, region
 

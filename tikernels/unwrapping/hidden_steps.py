@@ -3,9 +3,10 @@
 Where one surface ends whole cycles in front of another, the phase may go on as if nothing were there. A cell in which
 that happens belongs to one of the surfaces as a whole, and part of it wrongly. It shows at the cell's border, where the
 phase of the other surface goes on over many pixels, too, but the orders step by whole cycles: such pixels are a seam.
+So does the brightness: where it has an edge the border of the surfaces is seen, and lies between the cells.
 """
 
-from tikernels._taichi import F32Array2, I32Array2, f32, i32, ti
+from tikernels._taichi import F32Array2, I32Array2, Static, f32, i32, ti
 from tikernels.launching import kernel
 from tikernels.phase.smoothing import MAX_DEPARTURE
 from tikernels.unwrapping.continuity import cycles_and_departure, frame_rates
@@ -23,19 +24,36 @@ from tikernels.unwrapping.tables import (
 #: From this many pixels on a cell's border, those on its shorter sides counted double, a seam is none by chance: a step
 #: that crosses the border shows two or three.
 MIN_SEAM_PX = 6
+# Where brightness changes by more than this factor over a cell's border, from so many px before its last one to as many
+# after its first one (an edge is as wide as blur), the surface ends there, and hides no step.
+_EDGE, _BESIDE = 0.9, 2
 
 
 @ti.func
-def on_seam(phase: F32Array2, labels: I32Array2, final: I32Array2, rate: f32, y: i32, x: i32, y2: i32, x2: i32) -> i32:
-    """Whether the phase goes on from a pixel to the next, but not the orders."""
+def on_seam(
+    phase: F32Array2,
+    brightness: F32Array2,
+    labels: I32Array2,
+    final: I32Array2,
+    rate: f32,
+    y: i32,
+    x: i32,
+    down: Static,
+) -> i32:
+    """Whether phase and brightness go on from a pixel to the next, below or to the right, but not the orders."""
     contradicts = 0
+    dy, dx = ti.static((down, 1 - down))
+    y2, x2 = y + dy, x + dx
     label, label2 = labels[y, x], labels[y2, x2]
     if (label | label2) >= 0:
         draft, draft2 = label >> ORDER_BITS, label2 >> ORDER_BITS
         difference = phase[y2, x2] - phase[y, x]
         cycles, departs = cycles_and_departure(difference, rate)
         jump = (label2 & ORDER_MASK) + final[Final.ORDER, draft2] - (label & ORDER_MASK) - final[Final.ORDER, draft]
-        goes_on = departs < MAX_DEPARTURE
+        before = brightness[ti.max(y - _BESIDE * dy, 0), ti.max(x - _BESIDE * dx, 0)]
+        far_y, far_x = ti.min(y2 + _BESIDE * dy, phase.shape[0] - 1), ti.min(x2 + _BESIDE * dx, phase.shape[1] - 1)
+        after = brightness[far_y, far_x]
+        goes_on = departs < MAX_DEPARTURE and ti.min(before, after) > _EDGE * ti.max(before, after)
         if goes_on and jump != cycles and final[Final.REGION, draft] > 0 and final[Final.REGION, draft2] > 0:
             contradicts = 1
     return contradicts
@@ -55,6 +73,7 @@ def seam_around(seams: I32Array2, columns: i32, cell: i32) -> i32:
 @kernel
 def mark_hidden_steps_kernel(
     phase: F32Array2,  # (H, W) rad; NO_PHASE outside the mask
+    brightness: F32Array2,  # (H, W)
     rates: F32Array2,  # see `frame_rates`
     labels: I32Array2,  # (H, W)
     seams: I32Array2,  # (2, cells) see `Seam`; scratch
@@ -69,10 +88,10 @@ def mark_hidden_steps_kernel(
         to_right, below = 0, 0
         if right < width:
             for y in range(top, bottom):
-                to_right += on_seam(phase, labels, final, along, y, right - 1, y, right)
+                to_right += on_seam(phase, brightness, labels, final, along, y, right - 1, 0)
         if bottom < height:
             for x in range(left, right):
-                below += on_seam(phase, labels, final, across, bottom - 1, x, bottom, x)
+                below += on_seam(phase, brightness, labels, final, across, bottom - 1, x, 1)
         seams[Seam.RIGHT, cell] = to_right
         seams[Seam.BELOW, cell] = (CELL_HEIGHT // CELL_WIDTH) * below
     for cell in range(seams.shape[1]):

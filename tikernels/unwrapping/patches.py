@@ -219,7 +219,9 @@ class Patches:
         arguments = (self.count, phase, self.labels, rays, depth_mm, packed, axis)
         place_regions_kernel(one_thread_is_faster(self.count), *arguments, self.table, self._regions)
 
-    def write(self, phase: F32, rates: F32, out_unwrapped: F32, out_mask: U8, out_region: I32) -> RegionTable:
+    def write(
+        self, phase: F32, brightness: F32, rates: F32, out_unwrapped: F32, out_mask: U8, out_region: I32
+    ) -> RegionTable:
         """Write the unwrapped phase, the mask, and the region.
 
         The last pixel before a step is left out, and so are cells that hide a step; see `region_writing.py`.
@@ -228,6 +230,8 @@ class Patches:
         ----------
         phase : (H, W) float32
             rad in [-pi, pi].
+        brightness : (H, W) float32
+            Of the surface, without the fringe; up to a factor.
         rates : (N, 5) float32
             What `measure_rates` found.
         out_unwrapped : (H, W) float32
@@ -248,6 +252,7 @@ class Patches:
             A shape or dtype is another one, or an output cannot be written.
         """
         phase = checks.read_array("phase", phase, self.shape, np.float32)
+        brightness = checks.read_array("brightness", brightness, self.shape, np.float32)
         rates = checks.read_array("rates", rates, (None, 5), np.float32)
         out_unwrapped = checks.out_array("out_unwrapped", out_unwrapped, self.shape, np.float32)
         out_mask = checks.out_array("out_mask", out_mask, self.shape, np.uint8)
@@ -262,7 +267,7 @@ class Patches:
         tables = (self.table, self._draft_contacts, self._regions, numbers)
         cells = (self.cells, cells_of(*self.shape)[1], self.cell_table, self.draft_bits)
         finish_patches_kernel(one_thread_is_faster(self.count), *cells, *tables, self.final)
-        mark_hidden_steps_kernel(phase, rates, self.labels, self._seams, self.final)
+        mark_hidden_steps_kernel(phase, brightness, rates, self.labels, self._seams, self.final)
         write_unwrapped(phase, rates, self.labels, self.final, out_unwrapped, out_mask, out_region)
         return RegionTable(roots, pixels)
 

@@ -226,7 +226,7 @@ def unwrap_phase(
     unwrapper = RegionUnwrapper(*shape)
     rates = measure_rates(phase, quality)
     patches = unwrapper.join(phase, quality, rates)
-    patches.write(phase, rates, result, runtime.empty(shape, np.uint8), runtime.empty(shape, np.int32))
+    patches.write(phase, quality, rates, result, runtime.empty(shape, np.uint8), runtime.empty(shape, np.int32))
     if stripes == "vertical":
         transpose(result, out)
     return out

@@ -92,7 +92,7 @@ def test_regions_that_were_written(arch):
     phase[:, 98] = NO_PHASE
     patches, rates = join(phase)
     outputs = tuple(runtime.empty(phase.shape, dtype) for dtype in (np.float32, np.uint8, np.int32))
-    table = patches.write(phase, rates, *outputs)
+    table = patches.write(phase, np.ones_like(phase), rates, *outputs)
     region = runtime.to_host(outputs[2])
     np.testing.assert_array_equal(table.pixels, np.bincount(region.ravel())[1:])
     np.testing.assert_array_equal(table.pixels, [64 * 64, 64 * 30])

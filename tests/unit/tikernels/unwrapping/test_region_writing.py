@@ -80,4 +80,4 @@ def test_outputs_are_checked(arch):
         outs = list(outputs(phase.shape))
         outs[i] = bad
         with pytest.raises(ShapeError, match=r"expected \(32, 40\)"):
-            patches.write(phase, rates, *outs)
+            patches.write(phase, np.ones_like(phase), rates, *outs)
