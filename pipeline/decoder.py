@@ -253,16 +253,16 @@ class Decoder:
         # Surfaces take the model of a first look where nobody else knows a cycle of the light.
         first_look = path.surfaces is not None and not path.light_known
         if first_look:
-            model.fit(crosstalk, correction, cycle, path.contrast_doubt.allowed)
+            model.fit(crosstalk, correction, cycle, path.contrast_doubt)
         looked = self._find_surfaces(image, levels, work, correction, cycle, memory)
         found = looked if isinstance(looked, FoundSurfaces) else None
         if found is not None:
             crosstalk, cycle = found.crosstalk, found.template
             correction, _ = self._measure_cycle(image, crosstalk, levels, work)
         if found is not None or not first_look:
-            model.fit(crosstalk, correction, cycle, path.contrast_doubt.allowed, fixed=found is not None)
+            model.fit(crosstalk, correction, cycle, path.contrast_doubt, fixed=found is not None)
         fit = FittedPhase(work.fitted_phase, phases.modulation, phases.precision, phases.misfit, work.brightness)
-        fit_phase(image, model, crosstalk, levels, correction, path.contrast_doubt.allowed, out=fit)
+        fit_phase(image, model, crosstalk, levels, correction, path.contrast_doubt, out=fit)
         if motion is not None:
             doubt_motion(motion, phases.precision, out=phases.misfit)
         undo_camera_blur(work.fitted_phase, work.brightness, phases.precision, out=(work.raw_phase, phases.misfit))
@@ -322,7 +322,6 @@ class Decoder:
             constant_known=path.constant_known,
             constant_sigma=float(np.hypot(path.constant_sigma, doubt)),
             mismatch=mismatch,
-            contrast_doubt=path.contrast_doubt,
             order_doubt=order_doubt,
             light_doubts=light_doubts(*light, constant_known=path.constant_known, code_lost=code_lost),
         )
@@ -435,8 +434,8 @@ class Decoder:
             return image, motion
         for _ in range(MOTION_TURNS):
             correction, cycle = self._measure_cycle(image, path.crosstalk, levels, work)
-            model.fit(path.crosstalk, correction, cycle, path.contrast_doubt.allowed)
-            fit = fit_phase(image, model, path.crosstalk, levels, correction, path.contrast_doubt.allowed)
+            model.fit(path.crosstalk, correction, cycle, path.contrast_doubt)
+            fit = fit_phase(image, model, path.crosstalk, levels, correction, path.contrast_doubt)
             lag = 0.0
             if motion is None:
                 motion = measure_motion(fit.phase, memory.surface.unwrapped, times, work.period_px)

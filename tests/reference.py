@@ -210,9 +210,9 @@ def smooth_phase(wrapped_phase: Array, mask: Array, smoothing_px: int) -> Array:
     rows, bend = np.where(keep, np.nan, phase + mean), quadric - mean
     columns = []
     for k, counts, difference in pairs(rows, 1, 0, across):
-        # A row's variance is one over what its mean is of; a pair counts by its own, up to eight times.
+        # A row's variance is one over what its mean is of; a pair counts by its own.
         others = 1 / neighbour(averaged, -k, 0) + 1 / neighbour(averaged, k, 0)
-        columns.append((k, counts * np.nan_to_num(np.minimum(2 / averaged / others, 8)), difference))
+        columns.append((k, counts * np.nan_to_num(2 / averaged / others), difference))
     count, _, added = mean_and_quadric(columns)
     bends = sum(np.nan_to_num(c * (neighbour(bend, -k, 0) + neighbour(bend, k, 0))) for k, c, _ in columns)
     return np.where(keep, wrapped_phase, wrapped_difference(rows + added + (bend + bends) / count, 0.0))
@@ -859,16 +859,16 @@ def measure_ripple(brightness: Array, phase: Array, mask: Array, period_px: floa
     change, weights = _sampled(brightness, mask, step, 0.05)
     waves = _second_differences(_ripple_waves(np.where(mask != 0, phase, 0)), step).reshape(-1, 6)
     weighed = waves * weights.reshape(-1, 1)
-    return np.linalg.solve(weighed.T @ waves + 50 * np.eye(6), weighed.T @ change.ravel())
+    return np.linalg.solve(weighed.T @ waves + 30 * np.eye(6), weighed.T @ change.ravel())
 
 
 def contrast_slope(brightness: Array, contrast: Array, mask: Array, period_px: float) -> tuple[float, float]:
     """Return by how much a brightness' logarithm changes with the contrast's, and the mean of that."""
     step = max(1, round(period_px))
-    change, weights = _sampled(brightness, mask, step, 0.1)
+    change, weights = _sampled(brightness, mask, step, 0.05)
     by_contrast = _second_differences(contrast.astype(np.float64), step)
-    asked = _sampled(np.ones_like(brightness), np.ones_like(mask), step, 0.1)[1] * (mask[: -2 * step] != 0)
-    slope = (weights * change * by_contrast).sum() / ((weights * by_contrast**2).sum() + 50 * 0.15**2)
+    asked = _sampled(np.ones_like(brightness), np.ones_like(mask), step, 0.05)[1] * (mask[: -2 * step] != 0)
+    slope = (weights * change * by_contrast).sum() / ((weights * by_contrast**2).sum() + 30 * 0.05**2)
     return float(slope), float((asked * contrast[: -2 * step]).sum() / max(asked.sum(), 1))
 
 

@@ -11,7 +11,7 @@ from pipeline.decoding.frame_reader import LinearFrame
 from pipeline.decoding.surface_search import NoModelFits
 from tikernels import runtime
 from tikernels.arrays import LevelsImage
-from tikernels.phase.frame_statistics import MIN_PERIOD_PX, FrameLevels, measure_frame
+from tikernels.phase.frame_statistics import COLUMNS, MIN_PERIOD_PX, FrameLevels, measure_frame
 from tikernels.raw.repeated_chroma import RepeatedChroma
 from tikernels.transposing import transpose
 
@@ -31,23 +31,15 @@ _LOWERED = (
 )
 #: A fringe that differs by more from what the crosstalk makes is more than the leaks of a good calibration are off by.
 MAX_MISMATCH = 0.12
-# A share of the surface that is lost unnoticed at edges.
-_MAX_TOO_FAST = 0.05
-
-# A result is looked into that has a smaller share of the frame than this and of what is lit than that.
-_FEW, _MOST_OF_LIT = 0.05, 0.5
-# The cause is said to be light where more of the frame than this is at full scale, or its brightest thousandth stays
-# below this share of full scale.
-_MOST_CLIPPED = 0.3
+# A share of the pixels that is lost unnoticed, as at edges.
+_FEW = 0.05
+# A frame is dark whose brightest thousandth stays below this share of full scale.
 _BRIGHTEST, _DIM = 0.999, 0.15
-
-# From this share of what is lit on, clipped channels cost more than noise does: simulated planes, balls and busts are
-# off by 1.2 times as much at .05, twice as much at .15 and ten times as much at .4.
-_CLIPPED_LIT = 0.1
-
-# Of a frame that is as calibrated the code is read on nearly all of its surfaces, of others on hardly any. Colours fit
-# that are not this much worse than those that fit best.
-_MOST_READ, _MISMATCH, _WORSE = 0.5, 0.02, 3.0
+# From this share on, clipped channels cost more than noise does: simulated planes, balls and busts are off by 1.2 times
+# as much at .05, twice as much at .15 and ten times as much at .4.
+_MOST_CLIPPED = 0.1
+# Colours are as a calibration says if they are off by less than this, beside twice what those are that fit best.
+_MISMATCH = 0.02
 # What a frame is that fits the calibration when it is changed so.
 _REVERSED: dict[Key, str] = {
     "turned over": "turned over it fits: the camera's or the projector's picture is upside down or mirrored; turn it",
@@ -59,9 +51,9 @@ _UNDECIDED = (
 )
 _NEITHER = "it fits neither turned over nor with red and blue exchanged: check that the calibration is this rig's"
 
-# Columns of a frame that are looked at for a fringe that is too fine, the share of their changes that one has, and how
-# far its frequency differs from place to place, as a fraction: white noise has a sixth of its power in such a band.
-_COLUMNS, _FRINGE_SHARE, _FRINGE_BAND = 32, 0.25, 0.08
+# A fringe that is too fine has this share of the changes along columns, and its frequency differs from place to place
+# by this fraction: white noise has a sixth of its power in such a band.
+_FRINGE_SHARE, _FRINGE_BAND = 0.25, 0.08
 
 
 def fringe_doubt(frame: LinearFrame, stripes: str, clipped: float) -> Cause:
@@ -106,11 +98,12 @@ class Changed(NamedTuple):
 def reversed_doubt(changed: dict[Key, Changed]) -> Cause:
     """Say why a frame's phase runs against the calibrated rig's, by what became of it when it was changed."""
     least = min((found.mismatch for found in changed.values() if found.mismatch is not None), default=0.0)
-    most = min(MAX_MISMATCH, _MISMATCH + _WORSE * least)
+    most = min(MAX_MISMATCH, _MISMATCH + 2 * least)
     fits = [
         key
         for key, found in changed.items()
-        if (found.read is None or found.read > _MOST_READ) and (found.mismatch is None or found.mismatch < most)
+        # Of a frame that is as calibrated the code is read on nearly all surfaces, of others on hardly any.
+        if (found.read is None or found.read > 0.5) and (found.mismatch is None or found.mismatch < most)
     ]
     key: Key
     if len(fits) == 1:
@@ -127,8 +120,8 @@ def few_pixels_doubt(frame: LinearFrame, levels: FrameLevels, contrast: float, n
     if n_measured >= _FEW * height * width:
         return None
     image = runtime.to_host(frame.image)
-    lit = int((image.sum(axis=2, dtype=np.float64) >= 3 * levels.intensity).sum())
-    if 0 < n_measured and n_measured >= _MOST_OF_LIT * lit:  # a small thing before a black curtain
+    lit = int((image.mean(axis=2) >= levels.intensity).sum())
+    if 0 < n_measured and n_measured >= 0.5 * lit:  # a small thing before a black curtain
         return None
     weak: tuple[Key, str] = (
         "weak fringe",
@@ -144,7 +137,7 @@ def few_pixels_doubt(frame: LinearFrame, levels: FrameLevels, contrast: float, n
 
 def over_exposure_doubt(clipped: float) -> Cause | None:
     """Say that a share of what is lit has a channel at full scale; None: too little of it to matter."""
-    if clipped < _CLIPPED_LIT:
+    if clipped < _MOST_CLIPPED:
         return None
     words = f"{clipped:.0%} of what is lit has a colour at full scale, which bends its phase: expose it shorter"
     return Cause("over-exposed", words)
@@ -172,7 +165,7 @@ def folded_lens_doubt(n_blind: int, shape: tuple[int, int]) -> Cause:
 def finest_fringe(light: LevelsImage) -> float | None:
     """Return the period of a fringe too short to be decoded, px, stripes along the rows; None: there is none."""
     image = runtime.to_host(light)
-    columns = image[:, :: max(1, image.shape[1] // _COLUMNS)].astype(np.float64)
+    columns = image[:, :: max(1, image.shape[1] // COLUMNS)].astype(np.float64)
     power = (np.abs(np.fft.rfft(columns - columns.mean(axis=0), axis=0)) ** 2).sum(axis=(1, 2))
     cycles = np.arange(len(power))
     # One that has a share of all that changes along a column; noise spreads over all frequencies.
@@ -229,7 +222,7 @@ def light_doubts(
             "light, paint that fluoresces, light that scatters, colours of a lower resolution, too fine a print "
             "and another response than the calibrated one (which colorphase calibrate check would show) look like this"
         )
-    if too_fast > _MAX_TOO_FAST:
+    if too_fast > _FEW:
         doubts["too fast"] = (
             f"{too_fast:.0%} of the surface moves by a third of a cycle or more from frame to frame: its colours, one "
             "after another, cannot be put together there; take frames faster"

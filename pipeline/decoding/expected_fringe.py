@@ -14,8 +14,7 @@ from pipeline.causes import Cause, Key
 from pipeline.models import FloatArray
 
 # Places in the camera's picture along either side, and depths from which the bounds come; more change nothing.
-_PLACES, _DEPTHS = 9, 12
-_LEAST_PX = 16  # smaller pictures have no surface
+_PLACES = 9
 # Where no depth range is given, things are at these parts of the working distance: possible, and usual.
 _POSSIBLE, _USUAL = (0.5, 2.5), (0.6, 1.6)
 # Where most of a surface is turned further away from the camera or the projector than the first, neither sees much of
@@ -50,7 +49,7 @@ class ExpectedFringe:
     def of(cls, geometry: Geometry, depth_range_mm: tuple[float, float] | None) -> "ExpectedFringe | None":
         """Return that of a rig; None where camera and projector see nothing in common at any depth."""
         distance = geometry.working_distance_mm()
-        if (depth_range_mm is None and distance is None) or min(geometry.camera.size_px) < _LEAST_PX:
+        if depth_range_mm is None and distance is None:
             return None
         possible, usual = (
             _bounds(geometry, depth_range_mm or (near * (distance or 0), far * (distance or 0)), tilt)
@@ -111,7 +110,7 @@ def _lit_places(geometry: Geometry, depths_mm: tuple[float, float]) -> tuple[Flo
     rows, columns = (np.linspace(1, n - 2, _PLACES).round().astype(int) for n in (height, width))
     pixels = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2).astype(np.float64)
     half_a_row = np.array([0, 0.5] if geometry.phase_axis == 1 else [0.5, 0])
-    depth = np.geomspace(*depths_mm, _DEPTHS)[:, None, None]
+    depth = np.geomspace(*depths_mm, _PLACES)[:, None, None]
 
     def points(rows_down: float) -> FloatArray:
         rays = geometry.camera.rays_through(pixels + rows_down * half_a_row)

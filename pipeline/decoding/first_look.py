@@ -19,6 +19,7 @@ from tikernels.phase.channel_model import ChannelModel
 from tikernels.phase.color_balance import WindowSum
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.frame_statistics import FrameLevels
+from tikernels.phase.phase_vector import SIGMAS, TINY
 from tikernels.phase.surface_colors import color_ratios, common_colors, nearest_colors
 from tikernels.phase.surface_labels import LEAST_PX
 from tikernels.phase.surface_matrix import SurfaceSamples
@@ -34,24 +35,15 @@ _COLOR_CYCLES = 0.3
 # Where colours change by as much from node to node, as logarithms of ratios, the window sees two surfaces. A colour has
 # at least the second share of what is even: of a fine print little is.
 _SHARP, _LEAST_SHARE = 0.08, 0.05
-# Nodes closer together than this, under fine fringes, say the same (px): of those only some are looked at.
-_NODE_SPACING_PX = 8
 # A node tells a colour if this share of its window is lit.
 _FILLED = 0.3
-# About as many samples tell the ambient light.
-_AMBIENT_SAMPLES = 3000
-# Ambient light is at most this share of the frame's; brightness that varies less, as a fraction, does not tell it.
-_MOST_AMBIENT, _LEAST_VARIATION = 0.6, 0.03
+# About as many samples tell what all of a frame's light has in common.
+_SAMPLES = 3000
 # A fringe swings by twice its modulation over this part of a cycle, in pixels some ten, whose noise alone swings by
 # less than this many standard deviations.
 _SWING_CYCLES, _SWING_SIGMAS = 0.65, 5.0
-# How far the fringe's change is averaged for its contrast, in nodes, and the most that blur may take or leave, as a
-# logarithm.
-_CONTRAST_NODES, _MOST_LOST = 0.7, 0.2
-# The lattice has this many rows in a cycle, or up to twice as many.
-_ROWS_A_CYCLE = 5
-# No camera is better than this fraction of its light, or of that of a fiftieth of full scale.
-_LEAST_NOISE, _DARK = 2e-4, 0.02
+# How far the fringe's change is averaged for its contrast, in nodes.
+_CONTRAST_NODES = 0.7
 
 
 class FirstLook:
@@ -73,9 +65,9 @@ class FirstLook:
     Attributes
     ----------
     spacing_px : int
-        Between the nodes that are looked at.
+        Between the nodes.
     ratios : (Hn, Wn, 3) float64
-        The colour around every one of these; see `color_ratios`.
+        The colour around every one of them; see `color_ratios`.
     lit : (Hn, Wn) bool
         Which of them tell it.
     """
@@ -91,18 +83,11 @@ class FirstLook:
         gains = model.gains
         self.device_image, self.gains, self.levels, self.correction = image, gains, levels, correction
         self._model, self.crosstalk = model, crosstalk
-        self._every = max(1, _NODE_SPACING_PX // gains.spacing_px)
-        self.spacing_px = self._every * gains.spacing_px
-        smooth = runtime.to_host(gains.smooth)
-        rows, columns = (
-            np.minimum((self._every - 1) // 2 + self._every * np.arange(-(-n // self._every)), n - 1)
-            for n in smooth.shape[:2]
-        )
-        self._smooth = smooth[rows[:, None], columns]
+        self.spacing_px = gains.spacing_px
+        self._smooth = runtime.to_host(gains.smooth)
         near = _smoothed_across(runtime.to_host(gains.sums), _COLOR_CYCLES * gains.period_px / gains.window.rows)
-        near = near[rows[:, None], columns]
-        predicted = np.maximum(near[..., WindowSum.PREDICTED : WindowSum.PREDICTED + 3], 1e-9)
-        self.ratios = color_ratios(near[..., WindowSum.SEEN : WindowSum.SEEN + 3] / predicted)
+        predicted = np.maximum(near[..., WindowSum.PREDICTED : WindowSum.BACKGROUND], TINY)
+        self.ratios = color_ratios(near[..., WindowSum.SEEN : WindowSum.PREDICTED] / predicted)
         self.lit = self._smooth[..., WindowSum.SAMPLES] > _FILLED * gains.window.samples
 
     @cached_property
@@ -111,15 +96,9 @@ class FirstLook:
         return runtime.to_host(self.device_image)
 
     @cached_property
-    def _samples(self) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-        """Return the frame's samples, (N, 3) levels, as they are and balanced."""
-        seen, balanced = runtime.to_host(self.gains.samples), runtime.to_host(self._model.balanced)
-        return seen.reshape(-1, 3), balanced.reshape(-1, 3)
-
-    @cached_property
     def lattice(self) -> Lattice:
         """Places all over the frame, one a node's column, and their light."""
-        rows = 1 << max(0, int(math.log2(self.gains.period_px / _ROWS_A_CYCLE)))
+        rows = max(1, self.gains.window.rows // 2)
         nodes = (self.contrast, self.spacing_px, self.unlit, self.levels)
         seen = average_light(
             self.device_image, self.gains, self.crosstalk, *nodes, rows, self.gains.spacing_px, REACH_PX
@@ -132,13 +111,13 @@ class FirstLook:
     @cached_property
     def around(self) -> FloatArray:
         """(h, w) mean brightness around each place, levels."""
-        samples = np.maximum(self._smooth[..., WindowSum.SAMPLES], 1e-6)
+        samples = np.maximum(self._smooth[..., WindowSum.SAMPLES], TINY)
         return np.asarray(self._at_places(self._smooth[..., WindowSum.BACKGROUND] / samples), np.float64)
 
     @cached_property
     def ambient(self) -> float:
         """Ambient light that the surfaces send back on average, levels: what the modulation does not follow."""
-        _, vector, contrast = self._looked_at(_AMBIENT_SAMPLES)
+        _, vector, contrast = self._looked_at
         modulation = np.hypot(vector[:, 0], vector[:, 1]) / contrast
         shown = modulation > self.levels.modulation
         if not shown.any():
@@ -146,10 +125,9 @@ class FirstLook:
         modulation, background = modulation[shown], vector[shown, 2]
         mean, variance = float(background.mean()), float(background.var())
         covariance = float(((background - mean) * modulation).mean())
-        if variance < (_LEAST_VARIATION * mean) ** 2 or covariance <= 0:
+        if covariance <= 0:
             return 0.0
-        share = 1 - float(modulation.mean()) * variance / (covariance * mean)
-        return float(np.clip(share, 0, _MOST_AMBIENT)) * mean
+        return max(0.0, mean - float(modulation.mean()) * variance / covariance)
 
     @cached_property
     def contrast(self) -> npt.NDArray[np.float32]:
@@ -169,10 +147,10 @@ class FirstLook:
             for part in (weight * change**2, weight)
         )
         known = weights > _FILLED
-        slopes = squares / np.maximum(weights, 1e-3)
+        slopes = squares / np.maximum(weights, TINY)
         usual = float(np.median(slopes[known])) if known.any() else 0.0
         lost = np.where(known, 0.5 * VARIANCE_PX * (slopes - usual), 0)
-        return np.asarray(np.exp(-np.clip(lost, -_MOST_LOST, _MOST_LOST)), np.float32)
+        return np.asarray(np.exp(-lost), np.float32)
 
     def common_colors(self) -> FloatArray:
         """Return the colours that many nodes have in common, (n, 3) ratios, the commonest first."""
@@ -203,18 +181,21 @@ class FirstLook:
         red, green, blue = cv2.split(self.image)
         light = cv2.add(cv2.add(red, green, dtype=cv2.CV_32F), blue, dtype=cv2.CV_32F)
         least = max(2 * self.levels.modulation, _SWING_SIGMAS * self.levels.noise)
-        return np.asarray((light < 3 * self.levels.intensity) | (swing < least))
+        return np.asarray((light < self.image.shape[2] * self.levels.intensity) | (swing < least))
 
-    def some_samples(self, wanted: int) -> FloatArray:
-        """Return the light of about as many samples as wanted that show a fringe, (N, 3) levels."""
-        seen, vector, _ = self._looked_at(wanted)
+    def some_samples(self) -> FloatArray:
+        """Return the light of samples that show a fringe, (N, 3) levels."""
+        seen, vector, _ = self._looked_at
         shown = np.hypot(vector[:, 0], vector[:, 1]) > self.levels.modulation
         return np.asarray(seen[shown & (seen.max(axis=1) < self.levels.clipped)])
 
-    def _looked_at(self, wanted: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return about as many samples as wanted, (N, 3), their b cos(phi), b sin(phi) and a, levels, and contrast."""
-        samples, balanced_samples = self._samples
-        step = max(1, len(samples) // wanted)
+    @cached_property
+    def _looked_at(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Samples from all over the frame, (N, 3), their b cos(phi), b sin(phi) and a, levels, and contrast."""
+        samples, balanced_samples = (
+            runtime.to_host(part).reshape(-1, 3) for part in (self.gains.samples, self._model.balanced)
+        )
+        step = max(1, len(samples) // _SAMPLES)
         while math.gcd(step, int(self.gains.samples.shape[1])) > 1:  # or it meets the same columns again and again
             step += 1
         seen, balanced = samples[::step].astype(np.float64), balanced_samples[::step].astype(np.float64)
@@ -225,15 +206,15 @@ class FirstLook:
         """Return what blur leaves of the contrast around some samples (N,), a factor."""
         row, column = np.divmod(samples, int(self.gains.samples.shape[1]))
         # Where these lie between the nodes, whose values are those of the middles of their squares.
-        y, x = (row + 0.5) / self.spacing_px - 0.5, (column + 0.5) / self._every - 0.5
-        places = (x.astype(np.float32)[None], y.astype(np.float32)[None])
+        y = (row + 0.5) / self.spacing_px - 0.5
+        places = (column.astype(np.float32)[None], y.astype(np.float32)[None])
         border = cv2.BORDER_REPLICATE
         return np.asarray(cv2.remap(self.contrast, *places, cv2.INTER_LINEAR, borderMode=border)[0], np.float64)
 
     def _at_places(self, values: npt.NDArray[Any], how: int = cv2.INTER_LINEAR) -> npt.NDArray[Any]:
         """Return values at nodes as values at the lattice's places."""
         (height, width), rows = self.lattice.contrast.shape, self.spacing_px // self.lattice.rows
-        size = (values.shape[1] * self._every, values.shape[0] * rows)
+        size = (values.shape[1], values.shape[0] * rows)
         between = cv2.resize(np.ascontiguousarray(values), size, interpolation=how)
         return np.ascontiguousarray(between[:height, :width])
 
@@ -270,13 +251,14 @@ class FirstLook:
         vector = weights @ (light - ambient[..., None])
         bare = np.arctan2(vector[:, 1], vector[:, 0])
         noise = self.levels.read_noise**2 + self.levels.noise_gain * np.maximum(light, 0)
-        least = _LEAST_NOISE * np.maximum(light, _DARK * self.levels.white)
-        phase, around = bare + self._correction_at(bare), np.maximum(around, 1e-9)
-        return SurfaceSamples(light, noise + least**2, phase, around, contrast, share, contrast_doubt)
+        phase, around = bare + self._correction_at(bare), np.maximum(around, TINY)
+        return SurfaceSamples(light, noise, phase, around, contrast, share, contrast_doubt)
 
 
 def _smoothed_across(sums: npt.NDArray[np.floating], sigma: float) -> npt.NDArray[np.floating]:
     """Return (Hg, Wb, N) blocks' sums, smoothed across the stripes, at the nodes between two of them."""
-    near = cv2.GaussianBlur(sums, (1, 2 * math.ceil(3 * sigma) + 1), 0, sigmaY=sigma, borderType=cv2.BORDER_CONSTANT)
+    near = cv2.GaussianBlur(
+        sums, (1, 2 * math.ceil(SIGMAS * sigma) + 1), 0, sigmaY=sigma, borderType=cv2.BORDER_CONSTANT
+    )
     above = near[::2]
     return np.asarray(above + near[np.minimum(2 * np.arange(len(above)) + 1, len(near) - 1)])

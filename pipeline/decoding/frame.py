@@ -32,7 +32,6 @@ from tikernels.arrays import F32, Array
 from tikernels.depth.point_uncertainty import point_sigma
 from tikernels.depth.triangulation import ProjectorGeometry
 from tikernels.errors import ShapeError
-from tikernels.phase.model_variance import ContrastDoubt
 from tikernels.phase.surface_edges import edge_variance
 from tikernels.phase.texture import measure_texture
 from tikernels.phase.uncertainty import estimate_phase_sigma
@@ -139,7 +138,6 @@ class Measured:
     constant_known: bool = False
     constant_sigma: float = np.nan  # rad, by the light alone
     mismatch: float = np.nan  # of the colours with what the crosstalk makes of them, as a fraction
-    contrast_doubt: ContrastDoubt = attribute(default=ContrastDoubt(0.0, 0.0))  # of the fit of the phases
 
     @property
     def doubts(self) -> tuple[Cause, ...]:
@@ -332,8 +330,7 @@ class DecodedFrame:
         """Estimate the standard deviations; without the misfit the light's model is taken to be right."""
         phases, surface = self._measured.phases, self._measured.surface
         with runtime.lock:
-            contrast = self._measured.contrast_doubt
-            known = (surface.unwrapped, phases.precision, phases.variance, misfit, contrast, surface.mask)
+            known = (surface.unwrapped, phases.precision, phases.variance, misfit, surface.mask)
             found = self._measured.surfaces
             edges = None
             if misfit is not None and isinstance(found, FoundSurfaces):

@@ -8,7 +8,7 @@ import numpy.typing as npt
 from pipeline.calibration import Calibration
 from pipeline.causes import Cause, Key
 from pipeline.contrast_code import ContrastCode
-from pipeline.decoding.self_calibration import LightEstimate
+from pipeline.decoding.self_calibration import USUAL_TURN, LightEstimate
 from pipeline.decoding.surface_finding import SurfaceFinder
 from pipeline.errors import DecodeWarning, SettingsError
 from pipeline.models import CameraState, FloatArray
@@ -16,18 +16,14 @@ from pipeline.settings import DecodeSettings
 from tikernels.phase.channel_template import flat_template
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.equalization import measure_correction, resolved_harmonics
-from tikernels.phase.model_variance import ContrastDoubt
 from tikernels.phase.projector_response import ResponsePrior
 from tikernels.phase.surfaces import Surfaces
 from tikernels.raw.linearization import Transfer
 
 # How far a pixel's contrast may be from what its neighbourhood shows: it hardly changes within a surface, but a code
 # changes it from cycle to cycle, and a fit to a constant one would bend the phase by 0.02 rad.
-_PLAIN_DOUBT, _CODED_DOUBT = ContrastDoubt(0.02, 0.01), ContrastDoubt(0.08, 0.08)
+_PLAIN_DOUBT, _CODED_DOUBT = 0.02, 0.08
 _LINEAR = np.array([[0.0, 1.0]] * 3)
-# Crosstalk of which nothing is known turns the phase about grey. Leaks to one side outweigh those to the other: camera
-# filters leak up to a quarter of the neighbouring primary, and turn it by 0.1 rad.
-_UNKNOWN_CONSTANT = 0.1
 
 
 class LightPath:
@@ -90,7 +86,7 @@ class LightPath:
         # channels are to each other, which matters where the crosstalk is undone before the balance.
         self.unknown = matrix is None and self._bands != "narrow"
         self.constant_known = matrix is not None
-        self.constant_sigma = 0.0 if self.constant_known else _UNKNOWN_CONSTANT
+        self.constant_sigma = 0.0 if self.constant_known else USUAL_TURN
         self.white: FloatArray | None = None if matrix is None else matrix.sum(axis=1)
         self._matrix, self._responses = matrix, responses
         self.use_code(code or (None if settings.code == "none" else ContrastCode.named("contrast")))
@@ -116,7 +112,7 @@ class LightPath:
         response = ResponsePrior(np.broadcast_to(light.response, (3, len(light.response))), None)
         self._learned_cycle = response.template(self.crosstalk.matrix, 0.0)
         self.constant_known = light.constant_known
-        self.constant_sigma = light.constant_sigma if light.constant_known else _UNKNOWN_CONSTANT
+        self.constant_sigma = light.constant_sigma if light.constant_known else USUAL_TURN
 
     def cycle(
         self, histogram: npt.NDArray[np.int64], period_px: float
@@ -159,8 +155,8 @@ class LightPath:
         return self._learned is not None or bool(self._priors)
 
     @property
-    def contrast_doubt(self) -> ContrastDoubt:
-        """How uneven the contrast may be under this pattern."""
+    def contrast_doubt(self) -> float:
+        """Standard deviation of a pixel's contrast about its neighbourhood's under this pattern, as a fraction."""
         return _PLAIN_DOUBT if self.code is None else _CODED_DOUBT
 
     def _use(self, matrix: FloatArray) -> None:

@@ -33,10 +33,12 @@ from pipeline.pattern import CHANNEL_PHASES
 from tikernels import runtime
 from tikernels.arrays import LevelsImage
 from tikernels.phase.channel_model import ChannelModel
+from tikernels.phase.channel_template import HARMONICS
 from tikernels.phase.color_balance import Gains, WindowSum
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.equalization import correction_table, resolved_harmonics
 from tikernels.phase.frame_statistics import FrameLevels
+from tikernels.phase.phase_vector import SIGMAS, TINY
 from tikernels.phase.projector_response import response_table
 from tikernels.phase.wrapped_phase import LEAST_NO_PHASE
 
@@ -44,23 +46,19 @@ _Singles = npt.NDArray[np.float32]
 _Complexes = npt.NDArray[np.complex128]
 
 _TURNS = np.exp(1j * np.array(CHANNEL_PHASES))
-# Harmonics of the response; groups of image tiles for the jackknife; rounds of balance.
-_HARMONICS, _GROUPS, _ROUNDS = 5, 8, 2
-_ORDERS = np.arange(1, _HARMONICS + 1)
+# Groups of image tiles for the jackknife; rounds of balance.
+_GROUPS, _ROUNDS = 8, 2
+_ORDERS = np.arange(1, HARMONICS + 1)
 # Of the first harmonic, over the cycles in view: what the jackknife does not see (steps, window, shape).
 _FLOOR = 0.1
 _MIN_CYCLES = 4.0
-# Samples of the balance, at least: of each group, three for each number that is fitted.
-_MIN_SAMPLES = _GROUPS * 3 * (1 + 2 * _HARMONICS)
-# Of a window that is emptier, the mean brightness has too much of the fringe in it; where a cycle's mean differs by
-# more, as a fraction, the window reaches beyond the edge of a surface.
-_FILLED, _UNEVEN = 0.5, 0.1
-# What is usual: a turn of the phase, rad, and how far a_3, a_4, a_5 over a_1 deviate from a power law's.
-_TURN_PRIOR, _RESPONSE_PRIOR = 0.1, 0.03
+# Samples of the balance, at least: of each group, one for each number that is fitted.
+_MIN_SAMPLES = _GROUPS * (1 + 2 * HARMONICS)
+#: Crosstalk of which nothing is known turns the phase about grey by this, rad: camera filters leak up to a quarter of
+#: the neighbouring primary, to one side more than to the other.
+USUAL_TURN = 0.1
 # A turn less sure than this, rad, or a rest beyond it, leaves the phase's constant unknown.
 _MAX_CONSTANT = 0.03
-# No rig leaks more than this of a colour.
-_MAX_LEAK = 0.4
 
 
 class LightEstimate(Model):
@@ -98,7 +96,7 @@ def _response_curve(harmonics: FloatArray) -> FloatArray:
 
 
 def _correction(waves: _Complexes) -> FloatArray:
-    """Return (257,) rad to add to arctangents of the projector's light with these harmonics, (3, _HARMONICS)."""
+    """Return (257,) rad to add to arctangents of the projector's light with these harmonics, (3, HARMONICS)."""
     return response_table(np.concatenate([np.ones((3, 1)), waves / 2], axis=1)).astype(np.float64)
 
 
@@ -108,7 +106,7 @@ def _deviation(samples: FloatArray) -> FloatArray:
 
 
 def _channel_harmonics(model: ChannelModel, correction: _Singles) -> _Complexes:
-    """Return harmonics over the mean of the balanced channels, (_GROUPS + 1, 3, _HARMONICS).
+    """Return harmonics over the mean of the balanced channels, (_GROUPS + 1, 3, HARMONICS).
 
     All samples together, then with each group of tiles left out.
     """
@@ -117,11 +115,9 @@ def _channel_harmonics(model: ChannelModel, correction: _Singles) -> _Complexes:
     around = runtime.to_host(gains.smooth)[..., [WindowSum.BACKGROUND, WindowSum.SAMPLES]]
     brightness, samples = cv2.split(cv2.resize(around, (columns, len(around) * gains.spacing_px)))
     balanced, has_phase = runtime.to_host(model.balanced), phases < LEAST_NO_PHASE
-    mean = brightness[:height] / np.maximum(samples[:height], 1e-6)
-    cycle = (1, max(1, round(gains.period_px)))
-    own, share = (cv2.blur(part * has_phase, cycle) for part in (balanced.mean(axis=2), np.ones_like(mean)))
-    told = has_phase & (samples[:height] > _FILLED * gains.window.samples)
-    told &= abs(own - share * mean) < _UNEVEN * share * mean
+    mean = brightness[:height] / np.maximum(samples[:height], TINY)
+    # Of a window that is emptier, the mean brightness has too much of the fringe in it.
+    told = has_phase & (samples[:height] > 0.5 * gains.window.samples)
     count = np.count_nonzero(told)
     if count < _MIN_SAMPLES:
         raise CalibrationError(f"{count} samples of a surface with fringes: too few to tell the rig from the object")
@@ -141,34 +137,24 @@ def _channel_harmonics(model: ChannelModel, correction: _Singles) -> _Complexes:
     gram += 1e-6 * np.trace(gram[0]) / len(gram[0]) * np.eye(gram.shape[1])
     fitted = np.linalg.solve(gram, right).transpose(0, 2, 1)
     fitted /= fitted[..., :1]
-    return np.asarray(fitted[..., 1 : 1 + _HARMONICS] - 1j * fitted[..., 1 + _HARMONICS :])
+    return np.asarray(fitted[..., 1 : 1 + HARMONICS] - 1j * fitted[..., 1 + HARMONICS :])
 
 
 def _turn(H: _Complexes, floor: float) -> tuple[float, float]:
-    """Return the turn and its deviation from H (_GROUPS + 1, 3, _HARMONICS)."""
+    """Return the turn and its deviation from H (_GROUPS + 1, 3, HARMONICS)."""
     least = np.angle((H[:, :, 0] * _TURNS.conj()).sum(1))  # leaves the least circulant matrix
     size = (np.abs(H[0, :, 0]) ** 2).sum()
     product = (H[:, :, 0] * H[:, :, 1]).sum(1) * np.exp(-3j * least[0]) / size  # a_2 exp(3 i (turn - least)) / a_1
     product = product * (1 if product[0].real >= 0 else -1)  # a turn beyond 30 degrees would take leaks above 30 %
-    deviation = np.hypot(_deviation(product.imag), floor) / (3 * abs(product[0]) + 1e-9)
-    trust = _TURN_PRIOR**2 / (_TURN_PRIOR**2 + deviation**2)
+    deviation = np.hypot(_deviation(product.imag), floor) / (3 * abs(product[0]) + TINY)
+    trust = USUAL_TURN**2 / (USUAL_TURN**2 + deviation**2)
     return float(least[0] + trust * np.angle(product[0]) / 3), float(deviation)
 
 
 def _matrix(h: _Complexes) -> FloatArray:
     """Return the matrix of h_j = sum_k M_jk exp(i d_k), rows of sum one, scaled so that no leak is negative."""
     real = (h[:, None] * _TURNS.conj()).real
-    return np.asarray(1 / 3 - real / (3 * min(real[~np.eye(3, dtype=bool)].min(), -1e-6)))
-
-
-def _regularise(ratios: FloatArray, deviation: FloatArray) -> FloatArray:
-    """Pull harmonics from the third on to those of the power law that has this second one, where they are unsure."""
-    second = np.clip(ratios[1], -0.4, 0.45)
-    gamma = (1 + 2 * second) / (1 - second)
-    law = np.cumprod([1.0] + [(gamma - n) / (gamma + n + 1) for n in range(1, _HARMONICS)])
-    law[1] = ratios[1]
-    trust = _RESPONSE_PRIOR**2 / (_RESPONSE_PRIOR**2 + deviation**2)
-    return law + trust * (ratios - law)
+    return np.asarray(1 / 3 - real / (3 * min(real[~np.eye(3, dtype=bool)].min(), -TINY)))
 
 
 def estimate_light(image: LevelsImage, levels: FrameLevels, period_px: float, cycles: float) -> LightEstimate:
@@ -209,30 +195,28 @@ def estimate_light(image: LevelsImage, levels: FrameLevels, period_px: float, cy
 def _estimate(
     H: _Complexes, matrices: FloatArray, constant_sigma: float, cycles: float, ripple: float
 ) -> LightEstimate:
-    """Return what the channels' harmonics say, (_GROUPS + 1, 3, _HARMONICS): all together, then a group left out."""
+    """Return what the channels' harmonics say, (_GROUPS + 1, 3, HARMONICS): all together, then a group left out."""
     floor = _FLOOR / max(cycles, 1)
     # Light of the projector's channels, over its mean first harmonic; one response makes it real in their own phases.
     sent = np.linalg.inv(matrices) @ H
     own = (sent * _TURNS.conj()[:, None] ** _ORDERS).real.mean(axis=1)
     sent, own = sent / own[:, :1, None], own / own[:, :1]
-    harmonics = _regularise(own[0], np.hypot(_deviation(own), floor * (_ORDERS > 1)))
-    expected = np.asarray(harmonics * _TURNS[:, None] ** _ORDERS, np.complex128)
+    expected = np.asarray(own[0] * _TURNS[:, None] ** _ORDERS, np.complex128)
     rest = sent[0] - expected
     misfit = float(np.std(_correction(sent[0]) - _correction(expected)))
-    # Of the rest, take what stands three deviations out.
+    # Of the rest, take what is not noise.
     noise = np.hypot(_deviation(sent.real), _deviation(sent.imag)) + floor
-    rest *= np.maximum(1 - (3 * noise / np.maximum(np.abs(rest), 1e-9)) ** 2, 0)
+    rest *= np.maximum(1 - (SIGMAS * noise / np.maximum(np.abs(rest), TINY)) ** 2, 0)
     matrix = matrices[0]
-    leaks = matrix[~np.eye(3, dtype=bool)]
     return LightEstimate(
         crosstalk_matrix=matrix,
         crosstalk_sigma=np.hypot(_deviation(matrices), floor),
-        response=_response_curve(harmonics),
+        response=_response_curve(own[0]),
         correction=_correction(expected + rest),
         constant_sigma=min(constant_sigma, np.pi),  # where nothing tells it, any turn is as likely
         constant_known=bool(constant_sigma < _MAX_CONSTANT and misfit < _MAX_CONSTANT),
         cycles=cycles,
         ripple=ripple,
         misfit=misfit,
-        reliable=bool(misfit < max(0.5 * ripple, 0.02) and cycles > _MIN_CYCLES and leaks.max() < _MAX_LEAK),
+        reliable=bool(misfit < max(0.5 * ripple, 0.02) and cycles > _MIN_CYCLES),
     )

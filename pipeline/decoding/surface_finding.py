@@ -23,10 +23,7 @@ _LEAK, _UNKNOWN_LEAK, _USUAL_LEAK = 0.004, 0.01, 0.03
 # So may a harmonic of the light: where the response is known, but for contrast and blur, and where it is not; and the
 # contrast apart from what blur takes: one that is 0.08 off changes the fitted ambient light by a third.
 _KNOWN_HARMONIC, _SEEN_HARMONIC = 0.0005, 0.02
-_KNOWN_CONTRAST, _SEEN_CONTRAST = 0.02, 0.2
-# Samples that tell whether a frame's only colour acts after the crosstalk. It does if that leaves less over by this
-# factor than anything else does, and a median that noise may have, whose own is 0.67.
-_TELLING_SAMPLES, _LEAST_SAMPLES, _BY_FAR, _NOISE = 400, 60, 0.85, 1.0
+_CONTRAST = 0.02
 
 
 class SurfaceFinder:
@@ -124,7 +121,7 @@ class SurfaceFinder:
             crosstalk.lag,
             LightDoubt(
                 leak=_UNKNOWN_LEAK if self._white is None else _LEAK,
-                contrast=_KNOWN_CONTRAST if template_known else _SEEN_CONTRAST,
+                contrast=_CONTRAST,
                 harmonic=_KNOWN_HARMONIC if template_known else _SEEN_HARMONIC,
             ),
             contrast_doubt=self._contrast_doubt,
@@ -132,12 +129,12 @@ class SurfaceFinder:
         )
 
     def _acts_after(self, look: FirstLook, known: KnownLight) -> bool:
-        """Whether the colour of a frame's only surface acts after the crosstalk, by far rather than between."""
-        light = look.some_samples(_TELLING_SAMPLES)
-        if len(light) < _LEAST_SAMPLES:
+        """Whether the colour of a frame's only surface acts after the crosstalk rather than between."""
+        light = look.some_samples()
+        if len(light) == 0:
             return False
         color = light.mean(axis=0)
-        ambient = np.minimum(look.ambient * 3 * color / color.sum(), 0.5 * color)
+        ambient = np.minimum(look.ambient * color / color.mean(), 0.5 * color)
         weights = phase_weights(np.asarray(np.linalg.inv(known.matrix), np.float64), known.lag) / color
         even = np.ones((1, len(light)))
         samples = look.surface_samples(
@@ -148,4 +145,4 @@ class SurfaceFinder:
         matrices = np.concatenate([predict_matrices(seen, white, bands) for bands in (BROAD, known.bands)])
         left_over = np.abs(residuals(samples, matrices, ambient, known.light))
         after, otherwise = np.median(left_over, axis=1)
-        return bool(after < _NOISE and after < _BY_FAR * otherwise)
+        return bool(after < otherwise)

@@ -4,16 +4,15 @@ import numpy as np
 
 from pipeline.settings import DecodeSettings
 from tikernels.phase.frame_statistics import FrameLevels, FrameStatistics
+from tikernels.phase.phase_vector import SIGMAS
 from tikernels.phase.smoothing import left_of_variance
 
-# The largest standard deviation, rad, that is expected of a valid pixel's phase: after smoothing, and before it, where
-# more noise makes neighbours differ by half a cycle.
-_MOST_SIGMA, _MOST_SIGMA_OF_ONE = 0.2, 0.75
+# The largest standard deviation, rad, that is expected of a valid pixel's smoothed phase.
+_MOST_SIGMA = 0.2
 # What all pixels have in common those tell that have this share of the fringe of the brightest.
 _TELLING = 0.15
 # Light and fringe must reach this fraction of the frame's brightness, below which ambient and stray light decide.
 _LEAST_FRACTION = 0.03
-_INTENSITY_SIGMAS = 3.0
 # Noise below this share of full scale is not to be relied on.
 _LEAST_NOISE = 1e-5
 
@@ -36,11 +35,12 @@ def frame_levels(settings: DecodeSettings, statistics: FrameStatistics, white: f
     noise = float(np.sqrt(read**2 + gain * brightness / 2))
     intensity, modulation, precision = settings.min_intensity, settings.min_modulation, 0.0
     if intensity is None:
-        intensity = max(_INTENSITY_SIGMAS * noise, _LEAST_FRACTION * brightness)
+        intensity = max(SIGMAS * noise, _LEAST_FRACTION * brightness)
     if modulation is None:
         modulation = _LEAST_FRACTION * brightness
-        left = left_of_variance(settings.smoothing_px // 2)
-        precision = max(left / _MOST_SIGMA**2, 1 / _MOST_SIGMA_OF_ONE**2)
+        # Larger windows than usual make up for no more noise: neighbours would differ by half a cycle.
+        window_px = min(settings.smoothing_px, DecodeSettings().smoothing_px)
+        precision = left_of_variance(window_px // 2) / _MOST_SIGMA**2
     return FrameLevels(
         white=white,
         read_noise=read,

@@ -4,8 +4,8 @@
     python tests/benchmarks/constants.py --list     and every number that is counted, with its place
 
 Counted are numbers in the source but 0, 1, 2, 1/2, pi and their negatives: those of module constants and of class
-attributes, defaults of arguments and fields, and literals in code. Subscripts, shapes of types, and members of
-enumerations are not counted. An expression counts by the numbers written in it.
+attributes, defaults of arguments and fields, and literals in code. Subscripts, shapes of types and arrays, axes, and
+members of enumerations are not counted. An expression counts by the numbers written in it.
 """
 
 import argparse
@@ -18,6 +18,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 ROOMS = ("tikernels/phase", "pipeline/decoding")
 _FREE = (0, 1, 2, 0.5, math.pi)
+# What these take is the length of an axis, such as that of the three channels.
+_SHAPES = "range ndrange zeros ones eye empty zero reshape read_array out_array out_buffer".split()
 
 
 def numbers(tree: ast.AST, kind: str) -> Iterator[tuple[str, int, float]]:
@@ -37,6 +39,14 @@ def numbers(tree: ast.AST, kind: str) -> Iterator[tuple[str, int, float]]:
         elif isinstance(node, ast.Subscript):
             yield from numbers(ast.Expression(node.value), kind)
         elif isinstance(node, ast.Call) and ast.unparse(node.func).startswith("ti.types."):
+            continue
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).rpartition(".")[2] in _SHAPES:
+            for argument in (node.func, *node.args):
+                lengths = argument.elts if isinstance(argument, ast.Tuple) else [argument]
+                for part in lengths:
+                    if not isinstance(part, ast.Constant):
+                        yield from numbers(ast.Expression(part), kind)
+        elif isinstance(node, ast.keyword) and node.arg in ("axis", "ndim") and isinstance(node.value, ast.Constant):
             continue
         elif not isinstance(node, ast.arguments):
             yield from numbers(node, kind)

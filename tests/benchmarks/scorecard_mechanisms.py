@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 
 from tikernels._taichi import f32, i32, ti, u1
-from tikernels.phase.model_variance import ContrastDoubt
 
 Original = Any
 Replacement = Callable[[Original], Any]
@@ -298,8 +297,6 @@ def ti_function(function: Any) -> Replacement:
 
 # --- the table -----------------------------------------------------------------------------------------------------
 
-CERTAIN = ContrastDoubt(0.0, 0.0)
-
 # fmt: off
 _ALL = (
     # The light.
@@ -316,7 +313,7 @@ _ALL = (
     Mechanism("telling pixels", "dim pixels do not count for the frame's light", "r-dark-beside-bright",
         {"thresholds:_TELLING": gives(0.0)}, ""),
     Mechanism("limit of sigma", "a pixel is valid if its expected sigma is small", "r-dark-beside-bright",
-        {"thresholds:_MOST_SIGMA": gives(1e6), "thresholds:_MOST_SIGMA_OF_ONE": gives(1e6)}, ""),
+        {"thresholds:_MOST_SIGMA": gives(1e6)}, ""),
     # Surfaces.
     Mechanism("averaged samples", "matrices are fitted to means over pixels along the stripes", "r-objects",
         {"first_look:REACH_PX": gives(0), "surface_misfits:REACH_PX": gives(0)}, ""),
@@ -360,7 +357,7 @@ _ALL = (
     Mechanism("model fit", "the phase that fits the channels' model best, not the arctangent", "bust-skin-1.8",
         {"phase_fit:_MAX_STEP": gives(1e-09)}, "phase_fit:fitted_step phase_fit:estimator_of"),
     Mechanism("contrast's variance", "how far a pixel's contrast may be from its neighbourhood's", "bust-skin-2-coded",
-        {"light_path:_PLAIN_DOUBT": gives(CERTAIN), "light_path:_CODED_DOUBT": gives(CERTAIN)}, ""),
+        {"light_path:_PLAIN_DOUBT": gives(0.0), "light_path:_CODED_DOUBT": gives(0.0)}, ""),
     Mechanism("misfit's weight", "pixels that the model does not fit count less", "r-objects",
         {"phase_fit:MAX_MISFIT": gives(1000000000.0), "model_variance:MAX_MISFIT": gives(1000000000.0)},
         "model_variance:divided_by", promise="hot pixels and sparkling highlights, which none of its frames has"),

@@ -12,19 +12,15 @@ from tikernels import runtime
 from tikernels._taichi import F32Array1, F32Array3, Static, f32, i32, ti
 from tikernels.arrays import F32
 from tikernels.launching import kernel
-from tikernels.strips import strip_at, strip_count
+from tikernels.phase.phase_vector import SIGMAS
+from tikernels.strips import STRIP, strip_at, strip_count
 
 #: The window across and along the stripes, as a standard deviation in cycles. At 0.85 cycles a Gaussian passes 1e-6 of
 #: the fringe; wider ones blur the reflectance without gaining anything.
 SIGMA_ACROSS, SIGMA_ALONG = 0.85, 1.0
-# A block still samples a cycle two and a half times, and is no higher than 64 rows.
+# A block still samples a cycle two and a half times.
 _ROWS_A_CYCLE = 2.5
-_MAX_ROWS = 64
-# The window ends at three standard deviations.
-_REACH = 3
-# Numbers of a row that a thread smooths.
-_STRIP = 64
-numbers = ti.types.vector(_STRIP, ti.f32)
+numbers = ti.types.vector(STRIP, ti.f32)
 
 
 class BalanceWindow:
@@ -71,14 +67,14 @@ class BalanceWindow:
 def block_rows(period_px: float) -> int:
     """Rows of a block: the largest power of two that still samples a cycle two and a half times."""
     rows = 1
-    while 2 * rows * _ROWS_A_CYCLE <= period_px and rows < _MAX_ROWS:
+    while 2 * rows * _ROWS_A_CYCLE <= period_px:
         rows *= 2
     return rows
 
 
 def half_gaussian(sigma: float, offset: float = 0.0) -> npt.NDArray[np.float32]:
     """Half of a Gaussian of this deviation (in samples) from an offset on, cut at three deviations."""
-    reach = np.arange(int(np.ceil(_REACH * sigma)) + 1) + offset
+    reach = np.arange(int(np.ceil(SIGMAS * sigma)) + 1) + offset
     return np.asarray(np.exp(-0.5 * (reach / sigma) ** 2), np.float32)
 
 
@@ -99,8 +95,8 @@ def smooth_across_kernel(
     out: F32Array3,  # (Hg, Wg, N)
 ):
     """Smooth across the stripes, from blocks to nodes."""
-    for t in range(out.shape[0] * strip_count(out.shape[1] * out.shape[2], _STRIP)):
-        i, place, count = strip_at(t, out.shape[1] * out.shape[2], _STRIP)
+    for t in range(out.shape[0] * strip_count(out.shape[1] * out.shape[2], STRIP)):
+        i, place, count = strip_at(t, out.shape[1] * out.shape[2], STRIP)
         total = numbers(0.0)
         for step in range(2 * taps.shape[0]):  # up and down in turns
             tap = step // 2
@@ -118,9 +114,9 @@ def smooth_along_kernel(
     out: F32Array3,  # (Hg, Wg, N)
 ):
     """Smooth along the stripes, from node to node."""
-    for t in range(out.shape[0] * strip_count(out.shape[1] * out.shape[2], _STRIP)):
+    for t in range(out.shape[0] * strip_count(out.shape[1] * out.shape[2], STRIP)):
         row = out.shape[1] * out.shape[2]
-        i, place, count = strip_at(t, row, _STRIP)
+        i, place, count = strip_at(t, row, STRIP)
         total = numbers(0.0)
         for step in range(1, 2 * taps.shape[0]):  # to the left and right in turns
             tap = step // 2

@@ -24,8 +24,9 @@ from tikernels import checks, runtime
 from tikernels._taichi import F32Array1, F32Array2, U8Array2, f32, i32, ti
 from tikernels.arrays import F32, Mask
 from tikernels.launching import kernel
-from tikernels.phase.phase_vector import PI, cosine_and_sine
-from tikernels.strips import strip_at, strip_count
+from tikernels.phase.channel_model import EVERY, PRIOR_SAMPLES
+from tikernels.phase.phase_vector import PI, TINY, cosine_and_sine
+from tikernels.strips import STRIP, strip_at, strip_count
 
 #: Numbers of a ripple: cosine and sine of three harmonics.
 RIPPLE_TERMS = 6
@@ -33,17 +34,9 @@ RIPPLE_TERMS = 6
 _UPPER = tuple((a, b) for a in range(RIPPLE_TERMS) for b in range(a, RIPPLE_TERMS))
 _CORNERS = len(_UPPER)
 _SUMS = _CORNERS + RIPPLE_TERMS + 1
-# Pixels of a row that a thread adds up; every fourth pixel of a row says what its neighbours do.
-_SAMPLES_A_THREAD, _EVERY = 64, 4
 # Second differences beyond this are paint and edges, not ripple: they count less (P. J. Huber, Annals of Mathematical
 # Statistics 35, 1964, doi:10.1214/aoms/1177703732).
 _HUBER = 0.05
-# So do changes over a whole cycle; shading makes more of it, and a code up to half.
-_HUBER_CONTRAST = 0.1
-# What a code changes the contrast's logarithm by, as second differences: its levels are a sixth apart.
-_CODE_CHANGE = 0.15
-# That there is no ripple is known beforehand as surely as this many samples say; fewer of them say nothing.
-_PRIOR_SAMPLES = 50
 
 
 @ti.func
@@ -73,12 +66,6 @@ def ripple_at(ripple: F32Array1, phase: f32) -> f32:
     return total
 
 
-@ti.func
-def exponential_near_zero(x: f32) -> f32:
-    """Return e^x for numbers within 0.4 of zero; error 1e-4. A call of the C library costs more than all the rest."""
-    return 1.0 + x * (1.0 + x / 2 * (1.0 + x / 3 * (1.0 + x / 4)))
-
-
 @kernel
 def sum_ripple_kernel(
     brightness: F32Array2,  # (H, W) any unit
@@ -87,13 +74,13 @@ def sum_ripple_kernel(
     step: i32,  # px between the rows that are compared
     out_sums: F32Array2,  # (strips, 28) upper triangle and right side of the normal equations, and the samples
 ):
-    columns = strip_count(brightness.shape[1], _EVERY)
-    for strip in range((brightness.shape[0] - 2 * step) * strip_count(columns, _SAMPLES_A_THREAD)):
-        y, first, count = strip_at(strip, columns, _SAMPLES_A_THREAD)
+    columns = strip_count(brightness.shape[1], EVERY)
+    for strip in range((brightness.shape[0] - 2 * step) * strip_count(columns, STRIP)):
+        y, first, count = strip_at(strip, columns, STRIP)
         sums = ti.Vector.zero(f32, _SUMS)
         for number in range(first, first + count):
             # Another one from row to row, so that all columns are asked.
-            x = ti.min(number * _EVERY + y % _EVERY, brightness.shape[1] - 1)
+            x = ti.min(number * EVERY + y % EVERY, brightness.shape[1] - 1)
             change, waves, holds = 0.0, ti.Vector.zero(f32, RIPPLE_TERMS), 1.0
             for k in ti.static(range(3)):
                 weight, row = ti.static((-1.0, 2.0, -1.0)[k]), y + k * step
@@ -102,7 +89,7 @@ def sum_ripple_kernel(
                 else:
                     change += weight * ti.log(brightness[row, x])
                     waves += weight * ripple_waves(phase[row, x])
-            holds *= ti.min(1.0, _HUBER / (ti.abs(change) + 1e-9))
+            holds *= ti.min(1.0, _HUBER / (ti.abs(change) + TINY))
             for place in ti.static(range(_CORNERS)):
                 sums[place] += holds * waves[_UPPER[place][0]] * waves[_UPPER[place][1]]
             for n in ti.static(range(RIPPLE_TERMS)):
@@ -122,8 +109,8 @@ def sum_contrast_kernel(
 ):
     for y in range(out_sums.shape[0]):
         product, square, total, count = 0.0, 0.0, 0.0, 0.0
-        for number in range(strip_count(brightness.shape[1], _EVERY)):
-            x = ti.min(number * _EVERY + y % _EVERY, brightness.shape[1] - 1)
+        for number in range(strip_count(brightness.shape[1], EVERY)):
+            x = ti.min(number * EVERY + y % EVERY, brightness.shape[1] - 1)
             change, by_contrast, holds = 0.0, 0.0, 1.0
             for k in ti.static(range(3)):
                 weight, row = ti.static((-1.0, 2.0, -1.0)[k]), y + k * step
@@ -132,7 +119,7 @@ def sum_contrast_kernel(
                 else:
                     change += weight * ti.log(brightness[row, x])
                     by_contrast += weight * contrast[row, x]
-            holds *= ti.min(1.0, _HUBER_CONTRAST / (ti.abs(change) + 1e-9))
+            holds *= ti.min(1.0, _HUBER / (ti.abs(change) + TINY))
             if mask[y, x] != 0:
                 total += contrast[y, x]
                 count += 1.0
@@ -177,7 +164,7 @@ def contrast_slope(brightness: F32, contrast: F32, mask: Mask, period_px: float)
     out = runtime.empty((height - 2 * step, 4), np.float32)
     sum_contrast_kernel(brightness, contrast, mask, step, out)
     product, square, total, count = runtime.to_host(out).sum(axis=0, dtype=np.float64)  # synchronises
-    return float(product / (square + _PRIOR_SAMPLES * _CODE_CHANGE**2)), float(total / max(count, 1.0))
+    return float(product / (square + PRIOR_SAMPLES * _HUBER**2)), float(total / max(count, 1.0))
 
 
 def measure_ripple(brightness: F32, phase: F32, mask: Mask, period_px: float) -> npt.NDArray[np.float32]:
@@ -211,11 +198,11 @@ def measure_ripple(brightness: F32, phase: F32, mask: Mask, period_px: float) ->
     step = max(1, round(period_px / 4))
     if height <= 2 * step:
         return np.zeros(RIPPLE_TERMS, np.float32)
-    columns = -(-width // _EVERY)
-    out = runtime.empty(((height - 2 * step) * -(-columns // _SAMPLES_A_THREAD), _SUMS), np.float32)
+    columns = -(-width // EVERY)
+    out = runtime.empty(((height - 2 * step) * -(-columns // STRIP), _SUMS), np.float32)
     sum_ripple_kernel(brightness, phase, mask, step, out)
     sums = runtime.to_host(out).sum(axis=0, dtype=np.float64)  # synchronises
     gram = np.zeros((RIPPLE_TERMS, RIPPLE_TERMS))
     gram[tuple(np.transpose(_UPPER))] = sums[:_CORNERS]
-    gram += np.triu(gram, 1).T + _PRIOR_SAMPLES * np.eye(RIPPLE_TERMS)
+    gram += np.triu(gram, 1).T + PRIOR_SAMPLES * np.eye(RIPPLE_TERMS)
     return np.asarray(np.linalg.solve(gram, sums[_CORNERS:-1]), np.float32)

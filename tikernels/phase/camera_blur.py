@@ -33,7 +33,7 @@ from tikernels.lanes import (
 )
 from tikernels.launching import kernel
 from tikernels.phase.phase_fit import doubted
-from tikernels.phase.phase_vector import wrap
+from tikernels.phase.phase_vector import TINY, wrap
 from tikernels.phase.wrapped_phase import NO_PHASE, has_phase
 
 #: v, px^2: a pixel's area makes 1/12, and a lens that is made for the sensor, with a blur of half a pixel, 1/4.
@@ -53,7 +53,7 @@ def turned_by_blur(before: f32, here: f32, after: f32, dim: f32, bright: f32) ->
     one, other = wrap(here - before), wrap(after - here)
     smooth = (ti.abs(one - other) < _SAME_SLOPE) & (ti.abs(one + other) < 2.0 * _STEEPEST)
     # (s1 - s0) / (s1 + s0) is the hyperbolic tangent of half the logarithms' difference: it cannot run away.
-    return ti.select(smooth, 0.5 * (one + other) * (bright - dim) / ti.max(bright + dim, 1e-6), 0.0)
+    return ti.select(smooth, 0.5 * (one + other) * (bright - dim) / ti.max(bright + dim, TINY), 0.0)
 
 
 @cache

@@ -46,58 +46,64 @@ from tikernels.phase.color_balance import Gains, WindowSum, gain_at, sample_at, 
 from tikernels.phase.crosstalk import Crosstalk, weighed_vector
 from tikernels.phase.equalization import BINS, place_in_cycle
 from tikernels.phase.frame_statistics import FrameLevels
-from tikernels.phase.fringe_sharpness import FringeSharpness, equalized_at
-from tikernels.phase.phase_vector import arctangent, matrix_of, modulation_of
+from tikernels.phase.fringe_sharpness import TILES, FringeSharpness, equalized_at
+from tikernels.phase.phase_vector import TINY, arctangent, matrix_of, modulation_of
 from tikernels.phase.wrapped_phase import NO_PHASE, has_phase
-from tikernels.strips import SPREAD, color_of, lanes_of_colors, set_color, strip_at, strip_count
+from tikernels.strips import SPREAD, STRIP, color_of, lanes_of_colors, set_color, strip_at, strip_count
 
 # Places of a symmetric matrix' upper triangle, row by row.
 _UPPER = tuple((a, b) for a in range(TERMS) for b in range(a, TERMS))
 _CORNERS, _HALF = len(_UPPER), len(_UPPER) // 2
-# Samples that one thread adds up.
-_SAMPLES_A_THREAD = 64
-# Every fourth sample of a row tells the template, but of every row: a fringe of 12 px that runs along the rows shows
+#: Every fourth sample of a row tells the template, but of every row: a fringe of 12 px that runs along the rows shows
 # twelve phases, and nine numbers a channel want most of them.
-_EVERY = 4
-# What is known of the template beforehand weighs as much as this many samples: nothing where there is a surface.
-_PRIOR_SAMPLES = 30
-# Ambient light is at most this share of a surface's; more, and it is the contrast that is read wrongly.
-_MAX_AMBIENT = 0.6
-# Surfaces that vary less in brightness than this, as a fraction, do not tell ambient light from a low contrast.
-_MIN_VARIATION = 0.03
-# The ambient light of a node is held to the frame's share as if this part of its samples said so.
-_RIDGE = 1e-3
+EVERY = 4
+#: What is known of the template beforehand weighs as much as this many samples: nothing where there is a surface.
+PRIOR_SAMPLES = 30
 # Per-channel corrections beyond a factor of two are a fit gone wrong, at a speck of a few samples.
 _MIN_FACTOR, _MAX_FACTOR = 0.5, 2.0
 # A node speaks for itself as far as less than this share of its window is empty: a window that ends 2.5 of its standard
 # deviations away is that empty, and passes 0.003 of the fringe; one that ends in its middle passes 0.15.
 _EMPTY = 0.006
-# By how much the sharpness seems to differ over the frame, as a part of what is doubted of the contrast: the second
-# harmonic changes with the cube of it, and a code with the cycle, of which a tile shows several.
-_SHARPNESS = 0.36
 # Turns of fitting, at most, while the fringe is found to be sharper here than there.
 _FOCUS_TURNS = 4
-# The frame is counted in this many tiles both ways.
-_TILES = 6
-# Numbers of a node that its neighbours may take over: A, B, and the weight that they have.
-_SHARED = 7
+
+
+class _Shared(IntEnum):
+    """Columns of what a node's neighbours may take over."""
+
+    COLOR = 0  # A
+    AMBIENT = 3  # B
+    WEIGHT = 6  # that they have
+
+
+_SHARED = _Shared.WEIGHT + 1
+
+
+class _Moment(IntEnum):
+    """Columns of what `recover_samples_kernel` sums up over the samples."""
+
+    COUNT = 0
+    MODULATION = 1
+    BACKGROUND = 2
+    SQUARE = 3  # of the background
+    PRODUCT = 4
+
+
+sample_moments = ti.types.matrix(len(_Moment), LANES, ti.f32)
 
 
 class LineSum(IntEnum):
-    """Columns of what the straight lines of A and B are drawn through: all but the first have three channels."""
+    """Columns of what the straight lines of A and B are drawn through: all but the last have three channels."""
 
-    COUNT = 0  # of the samples
-    MODEL = 1  # what the channel should be, s t_i
-    SQUARE = 4  # its square
-    SEEN = 7  # what the channel is
-    PRODUCT = 10  # both, multiplied
+    MODEL = 0  # what the channel should be, s t_i
+    SQUARE = 3  # its square
+    SEEN = 6  # what the channel is
+    PRODUCT = 9  # both, multiplied
+    COUNT = 12  # of the samples
 
 
-_LINE_SUMS = LineSum.PRODUCT + 3
+_LINE_SUMS = LineSum.COUNT + 1
 line_sums = ti.types.matrix(_LINE_SUMS, LANES, ti.f32)
-# Sums over the samples that `recover_samples_kernel` makes.
-_MOMENTS = 5
-sample_moments = ti.types.matrix(_MOMENTS, LANES, ti.f32)
 
 
 class ChannelModel:
@@ -112,10 +118,10 @@ class ChannelModel:
         self.balanced = runtime.empty((height, columns, 3), np.float32)
         #: (H, Wb) rad, the samples' bare phase; NO_PHASE where there is none.
         self.phases = runtime.empty((height, columns), np.float32)
-        self._histogram = runtime.empty((_TILES**2, BINS), np.int32)
+        self._histogram = runtime.empty((TILES**2, BINS), np.int32)
         strips = height * -(-columns // LANES)
-        self._moments = runtime.empty((strips, _MOMENTS), np.float32)
-        template_strips = height * -(-columns // (_EVERY * _SAMPLES_A_THREAD))
+        self._moments = runtime.empty((strips, len(_Moment)), np.float32)
+        template_strips = height * -(-columns // (EVERY * STRIP))
         self._normal = runtime.empty((template_strips, _CORNERS + 3 * TERMS + 1), np.float32)
         self._sums = runtime.empty((*blocks, _LINE_SUMS), np.float32)
         self._half = runtime.empty((*grid, _LINE_SUMS), np.float32)
@@ -124,7 +130,7 @@ class ChannelModel:
         self._half_around = runtime.empty((*grid, _SHARED), np.float32)
         self._around = runtime.empty((*grid, _SHARED), np.float32)
         #: (Hg, Wg, 6) A and B of the channels that the gains belong to, in levels where s is in levels.
-        self.nodes = runtime.empty((*grid, 6), np.float32)
+        self.nodes = runtime.empty((*grid, _Shared.WEIGHT), np.float32)
         #: (3, terms) t_i: 1, cosines, sines.
         self.template = np.zeros((3, TERMS), np.float32)
         #: How sharp the fringe is around every node beside the template.
@@ -165,9 +171,8 @@ class ChannelModel:
         self._share = 0.0
         if count > 0:
             variance, covariance = square - background**2 / count, product - background * modulation / count
-            if variance * count > (_MIN_VARIATION * background) ** 2 and covariance > 0:
-                share = 1 - modulation * variance / (covariance * background)
-                self._share = float(np.clip(share, 0, _MAX_AMBIENT))
+            if covariance > 0:
+                self._share = max(0.0, float(1 - modulation * variance / (covariance * background)))
         return runtime.to_host(self._histogram).astype(np.int64)  # synchronises
 
     def fit(
@@ -213,7 +218,7 @@ class ChannelModel:
                 self._fit_template(crosstalk.weights, correction, known)
             self._fit_nodes(correction)
             seen = (gains.samples, self.phases, correction)
-            if not sharpness.refine(*seen, self.template, self.nodes, gains.window.rows, _SHARPNESS * contrast_doubt):
+            if not sharpness.refine(*seen, self.template, self.nodes, gains.window.rows, contrast_doubt):
                 break
 
     def _fit_template(self, weights: npt.NDArray[np.float32], correction: F32, known: F32) -> None:
@@ -225,8 +230,8 @@ class ChannelModel:
         gram = np.zeros((TERMS, TERMS))
         gram[tuple(np.transpose(_UPPER))] = normal[:_CORNERS]
         gram += np.triu(gram, 1).T
-        weight = max(gram[0, 0], 1e-6) / max(normal[-1], 1)
-        prior = _PRIOR_SAMPLES * weight * np.array([1.0] + [0.5] * (2 * HARMONICS))
+        weight = max(gram[0, 0], TINY) / max(normal[-1], 1)
+        prior = PRIOR_SAMPLES * weight * np.array([1.0] + [0.5] * (2 * HARMONICS))
         gram += np.diag(prior)
         right = normal[_CORNERS:-1].reshape(TERMS, 3) + prior[:, None] * runtime.to_host(known).T
         solved = np.linalg.solve(gram, right)
@@ -268,7 +273,7 @@ def recover_samples_kernel(
     out_histogram: I32Array2,  # (tiles, bins) how often each phase is seen, to be added to
     out_balanced: F32Array3,  # (H, Wb, 3) the same, times their gains
     out_phase: F32Array2,  # (H, Wb) rad; NO_PHASE where there is none
-    out_moments: F32Array2,  # (strips, 5) sums of 1, modulation, background, its square, the product
+    out_moments: F32Array2,  # (strips, 5) see `_Moment`
 ):
     """Balance the samples, take their phase and count it, and sum up each strip's modulation and background."""
     bins = out_histogram.shape[1]
@@ -277,7 +282,7 @@ def recover_samples_kernel(
         weights = matrix_of(phase_weights)
         light, color_gains = lanes_of_colors(0.0), lanes_of_colors(1.0)
         angle, place, moments = float_lanes(0.0), float_lanes(0.0), sample_moments(0.0)
-        tile = y * _TILES // samples.shape[0] * _TILES + first * _TILES // samples.shape[1]
+        tile = y * TILES // samples.shape[0] * TILES + first * TILES // samples.shape[1]
         for k in range(count):
             x = (first + k) * spacing_px + spacing_px // 2
             fringed = ti.select(shows_fringe(sums, spacing_px // 2, y, first + k), 1.0, 0.0)
@@ -293,11 +298,11 @@ def recover_samples_kernel(
             counts = is_lit(seen, 0.0, max_level) & (modulation > telling) & (k < count)
             place[k] = ti.select(counts, place_in_cycle(bare, bins), -1.0)
             tells = ti.select(whole & (modulation > telling), 1.0, 0.0)
-            moments[0, k] = tells
-            moments[1, k] = tells * modulation
-            moments[2, k] = tells * background
-            moments[3, k] = tells * background * background
-            moments[4, k] = tells * background * modulation
+            moments[_Moment.COUNT, k] = tells
+            moments[_Moment.MODULATION, k] = tells * modulation
+            moments[_Moment.BACKGROUND, k] = tells * background
+            moments[_Moment.SQUARE, k] = tells * background * background
+            moments[_Moment.PRODUCT, k] = tells * background * modulation
             set_color(light, k, seen * gain)
         for k in range(count):
             out_phase[y, first + k] = angle[k]
@@ -305,7 +310,7 @@ def recover_samples_kernel(
                 out_histogram[tile, ti.min(ti.cast(place[k], i32), bins - 1)] += 1
             for c in ti.static(range(3)):
                 out_balanced[y, first + k, c] = light[c, k]
-        for n in ti.static(range(_MOMENTS)):
+        for n in ti.static(range(len(_Moment))):
             moment = 0.0
             for k in range(LANES):
                 moment += moments[n, k]
@@ -317,7 +322,7 @@ def ambient_at(smooth: F32Array3, spacing_px: i32, share: f32, y: i32, x: i32) -
     """Ambient light near a pixel: the frame's share of the mean background there."""
     i = ti.min(y // spacing_px, smooth.shape[0] - 1)
     j = ti.min(x // spacing_px, smooth.shape[1] - 1)
-    return share * smooth[i, j, WindowSum.BACKGROUND] / ti.max(smooth[i, j, WindowSum.SAMPLES], 1e-6)
+    return share * smooth[i, j, WindowSum.BACKGROUND] / ti.max(smooth[i, j, WindowSum.SAMPLES], TINY)
 
 
 @kernel
@@ -334,12 +339,12 @@ def sum_template_kernel(
     out_normal: F32Array2,  # (strips, terms) the normal equations: upper triangle, right sides; then the samples
 ):
     """Sum up the normal equations of the template's least squares, strip by strip."""
-    columns = strip_count(samples.shape[1], _EVERY)
-    for t in range(SPREAD * samples.shape[0] * strip_count(columns, _SAMPLES_A_THREAD)):
+    columns = strip_count(samples.shape[1], EVERY)
+    for t in range(SPREAD * samples.shape[0] * strip_count(columns, STRIP)):
         if t % SPREAD > 0:
             continue
         strip = t // SPREAD
-        y, first, count = strip_at(strip, columns, _SAMPLES_A_THREAD)
+        y, first, count = strip_at(strip, columns, STRIP)
         # The upper triangle of the symmetric equations, row by row, and the right sides.
         # Taichi compiles vectors of up to 32 numbers well.
         upper, lower = ti.Vector.zero(f32, _HALF), ti.Vector.zero(f32, _CORNERS - _HALF)
@@ -347,7 +352,7 @@ def sum_template_kernel(
         background_weights = vec3(phase_weights[2, 0], phase_weights[2, 1], phase_weights[2, 2])
         for number in range(first, first + count):
             # Another one from row to row, so that all columns are asked.
-            j = ti.min(number * _EVERY + y % _EVERY, samples.shape[1] - 1)
+            j = ti.min(number * EVERY + y % EVERY, samples.shape[1] - 1)
             if has_phase(phases[y, j]):
                 ambient = ambient_at(smooth, spacing_px, share, y, j * spacing_px)
                 sharper = sharpness[ti.min(y // spacing_px, sharpness.shape[0] - 1), j]
@@ -434,22 +439,21 @@ def fit_nodes_kernel(
     for node in range(sums.shape[0] * sums.shape[1]):
         i, j = node // sums.shape[1], node % sums.shape[1]
         ambient = ambient_at(smooth, 1, share, i, j)
-        empty = ti.max(1.0 - sums[i, j, LineSum.COUNT] / whole, 0.0)
+        count = sums[i, j, LineSum.COUNT]
+        empty = ti.max(1.0 - count / whole, 0.0)
         weight = _EMPTY * _EMPTY / (_EMPTY * _EMPTY + empty * empty)
         for k in ti.static(range(3)):
             model, square = sums[i, j, LineSum.MODEL + k], sums[i, j, LineSum.SQUARE + k]
-            count = sums[i, j, LineSum.COUNT] * (1.0 + _RIDGE)
-            seen = sums[i, j, LineSum.SEEN + k] + _RIDGE * sums[i, j, LineSum.COUNT] * ambient
-            product = sums[i, j, LineSum.PRODUCT + k]
+            seen, product = sums[i, j, LineSum.SEEN + k], sums[i, j, LineSum.PRODUCT + k]
             determinant = count * square - model * model
             factor, left = 1.0, ambient
-            if count > 1e-3 and determinant > 1e-3 * count * square:
+            if determinant > 0.0:
                 factor = ti.min(ti.max((count * product - model * seen) / determinant, _MIN_FACTOR), _MAX_FACTOR)
                 left = (seen - factor * model) / count
             for block in range(2 * i, ti.min(2 * i + 2, out_shared.shape[0])):
-                out_shared[block, j, k] = weight * factor / gains[i, j, k]
-                out_shared[block, j, 3 + k] = weight * left / gains[i, j, k]
-                out_shared[block, j, _SHARED - 1] = weight
+                out_shared[block, j, _Shared.COLOR + k] = weight * factor / gains[i, j, k]
+                out_shared[block, j, _Shared.AMBIENT + k] = weight * left / gains[i, j, k]
+                out_shared[block, j, _Shared.WEIGHT] = weight
 
 
 @kernel
@@ -461,7 +465,7 @@ def settle_nodes_kernel(
     """Take the nodes whose windows are whole as they are, and the others as those around them are."""
     for node in range(out_nodes.shape[0] * out_nodes.shape[1]):
         i, j = node // out_nodes.shape[1], node % out_nodes.shape[1]
-        weight, total = shared[2 * i, j, _SHARED - 1], around[i, j, _SHARED - 1]
-        for k in ti.static(range(6)):
-            own, theirs = shared[2 * i, j, k] / ti.max(weight, 1e-9), around[i, j, k] / ti.max(total, 1e-9)
+        weight, total = shared[2 * i, j, _Shared.WEIGHT], around[i, j, _Shared.WEIGHT]
+        for k in ti.static(range(_Shared.WEIGHT)):
+            own, theirs = shared[2 * i, j, k] / ti.max(weight, TINY), around[i, j, k] / ti.max(total, TINY)
             out_nodes[i, j, k] = theirs + weight * (own - theirs)

@@ -29,25 +29,19 @@ from tikernels.launching import kernel
 from tikernels.phase.balance_window import BalanceWindow
 from tikernels.phase.crosstalk import Crosstalk, unmixed
 from tikernels.phase.frame_statistics import MIN_PERIOD_PX, FrameLevels
-from tikernels.phase.phase_change import LEAST_CHANGE
-from tikernels.phase.phase_vector import color_at, matrix_of, modulation_of
+from tikernels.phase.phase_change import LEAST_CHANGE, SAMPLE
+from tikernels.phase.phase_vector import TINY, color_at, matrix_of, modulation_of
 from tikernels.phase.surfaces import neutral_light, shows_surface, without_ambient
 from tikernels.raw.linearization import LEVEL_TYPES
 from tikernels.strips import SPREAD, color_of, lanes_of_colors, set_color, strip_at, strip_count
 
-# Sums below this hold no colour worth measuring.
-_DARK = 1e-6
 # Whoever balances an image alone has chosen its pixels by the mask.
-_ANYTHING_LIT = FrameLevels(white=1.0, read_noise=0.0, noise_gain=0.0, noise=0.0, intensity=_DARK, modulation=_DARK)
-# The frame's contrast is averaged over every eighth row, and is never above this.
-_SPARSE = 8
-_MAX_CONTRAST = 1.5
+_ANYTHING_LIT = FrameLevels(white=1.0, read_noise=0.0, noise_gain=0.0, noise=0.0, intensity=TINY, modulation=TINY)
 # Columns of the sums that tell it, a row of the image each; in the last row the first has the contrast itself.
 _MODULATION, _BACKGROUND = range(2)
 _CONTRAST = 0
-# In even light two samples of a column, two rows apart, have nearly the same phase (`LEAST_CHANGE`), and a correlation
-# of at least this. A fringe's is .8 or less up to 20 px a cycle; a fine print may hold the phase, but not the colour.
-_TURN_ROWS, _EVEN_CORRELATION = 2, 0.9
+# In even light two samples of a column, so many rows apart, have nearly the same phase (`LEAST_CHANGE`).
+_TURN_ROWS = 2
 
 
 class WindowSum(IntEnum):
@@ -93,7 +87,7 @@ class Gains:
         self._color_sums = runtime.empty((*blocks, 3), np.float32)
         self._color_half = runtime.empty((*grid, 3), np.float32)
         self._color_smooth = runtime.empty((*grid, 3), np.float32)
-        self._contrast_sums = runtime.empty((-(-height // _SPARSE) + 1, 2), np.float32)
+        self._contrast_sums = runtime.empty((-(-height // SAMPLE) + 1, 2), np.float32)
 
     def measure(self, image: LevelsImage, crosstalk: Crosstalk, levels: FrameLevels) -> None:
         """Measure the gains of one frame; see `balance_color`.
@@ -167,7 +161,7 @@ def neutral_channels(vector: vec3, share: f32, of_phase: mat3, matrix: mat3) -> 
 def balancing_gain(seen: vec3, predicted: vec3) -> vec3:
     """Return the gains that make sums over the window what is predicted, up to a factor; one where nothing is lit."""
     gain = vec3(1.0)
-    if ti.min(seen.min(), predicted.min()) > _DARK:
+    if ti.min(seen.min(), predicted.min()) > TINY:
         color = seen / predicted
         gain = color.sum() / 3.0 / color
     return gain
@@ -244,7 +238,7 @@ def predict_blocks_kernel(
     for i in range(contrast_row):
         inverse, to_phase = matrix_of(inverse_matrix), matrix_of(phase_matrix)
         modulation_sum, background_sum = 0.0, 0.0
-        y = i * _SPARSE
+        y = i * SAMPLE
         for j in range(samples.shape[1]):
             gain = gain_at(gains, columns, y, j * columns + rows)
             vector = projected_vector(sample_at(samples, y, j), gain, inverse, to_phase)
@@ -257,11 +251,11 @@ def predict_blocks_kernel(
     # One thread adds the rows up in order, so that the sum is the same every time.
     ti.loop_config(serialize=True)
     for _ in range(1):
-        modulation_sum, background_sum = 0.0, 1e-12
+        modulation_sum, background_sum = 0.0, TINY
         for i in range(contrast_row):
             modulation_sum += contrast_sums[i, _MODULATION]
             background_sum += contrast_sums[i, _BACKGROUND]
-        contrast_sums[contrast_row, _CONTRAST] = ti.min(modulation_sum / background_sum, _MAX_CONTRAST)
+        contrast_sums[contrast_row, _CONTRAST] = modulation_sum / background_sum
     strips = strip_count(out_sums.shape[1], LANES)
     for t in range(SPREAD * out_sums.shape[0] * strips):
         if t % SPREAD > 0:
@@ -271,8 +265,8 @@ def predict_blocks_kernel(
         of_phase, to_phase = matrix_of(channel_matrix), matrix_of(phase_matrix)
         contrast = contrast_sums[contrast_row, _CONTRAST]
         light, color_gains, sums = lanes_of_colors(0.0), lanes_of_colors(1.0), window_sums(0.0)
-        # b cos(phi), b sin(phi) and b of the last row and of the row before it; sums of what the latter and the present
-        # row have in common: b b' times the cosine and the sine of the change, and b b'.
+        # b cos(phi) and b sin(phi) of the last row and of the row before it; sums of b b' of the latter and the present
+        # row times the cosine and the sine of the change.
         last, before, turn = lanes_of_colors(0.0), lanes_of_colors(0.0), lanes_of_colors(0.0)
         # One gain serves the block: it changes slowly, and the pixels' errors from it cancel.
         middle = ti.min(i * rows + rows // 2, height - 1)
@@ -288,21 +282,19 @@ def predict_blocks_kernel(
                 modulation = modulation_of(vector)
                 turn[0, k] += before[0, k] * vector.x + before[1, k] * vector.y
                 turn[1, k] += before[0, k] * vector.y - before[1, k] * vector.x
-                turn[2, k] += before[2, k] * modulation
-                for c in ti.static(range(3)):
+                for c in ti.static(range(2)):
                     before[c, k] = last[c, k]
-                last[0, k], last[1, k], last[2, k] = vector.x, vector.y, modulation
+                last[0, k], last[1, k] = vector.x, vector.y
                 counts = ti.select((modulation > min_modulation) & (y < end), 1.0, 0.0)
-                share = contrast / ti.max(modulation, 1e-9)
+                share = contrast / ti.max(modulation, TINY)
                 predicted = neutral_channels(vector, share, of_phase, matrix)
                 for c in ti.static(range(3)):
                     sums[WindowSum.SEEN + c, k] += counts * sample[c]
                     sums[WindowSum.PREDICTED + c, k] += counts * predicted[c]
-                sums[WindowSum.BACKGROUND, k] += counts * ((sample * gain).sum() / 3.0)
+                sums[WindowSum.BACKGROUND, k] += counts * (sample * gain).sum() / 3.0
                 sums[WindowSum.SAMPLES, k] += counts
         for k in range(count):
-            even = (ti.abs(turn[1, k]) < least_turn * turn[0, k]) & (turn[0, k] > _EVEN_CORRELATION * turn[2, k])
-            fringed = ti.select(even, 0.0, 1.0)
+            fringed = ti.select(ti.abs(turn[1, k]) < least_turn * turn[0, k], 0.0, 1.0)
             for c in ti.static(range(_WINDOW_SUMS)):
                 out_sums[i, first + k, c] = fringed * sums[c, k]
 

@@ -8,6 +8,7 @@ The assumption fails where few cycles are in view. But a response is the same ev
 often is not: histograms of tiles of the image tell the two apart, harmonic by harmonic.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -17,20 +18,13 @@ from tikernels import checks, runtime
 from tikernels._taichi import F32Array1, F32Array2, I32Array2, f32, i32, ti
 from tikernels.arrays import F32, Mask
 from tikernels.errors import ShapeError
+from tikernels.lanes import LANES
 from tikernels.launching import constant, kernel
-from tikernels.phase.phase_vector import PI, wrap
+from tikernels.phase.phase_vector import PI, TINY, wrap
 from tikernels.phase.wrapped_phase import has_phase, mark_no_phase_kernel
 
 #: Bins of the cycle that phases are counted in.
 BINS = 256
-# Threads add to one of these histograms each, so that they seldom wait for each other.
-_COPIES = 32
-# A phase this far beyond +-pi still counts: float32 leaves less than that, rad.
-_ROUNDING = 1e-3
-# Share of the pixels per cycle up to which harmonics are measured; at one, the pixel grid itself looks like one.
-_HARMONICS_A_PIXEL = 0.8
-# Fewer counts a bin than this do not make a distribution.
-_MIN_COUNTS_A_BIN = 4
 
 
 class MeasuredCorrection(NamedTuple):
@@ -46,7 +40,7 @@ class MeasuredCorrection(NamedTuple):
     def beyond(self, expected: npt.NDArray[np.complex128] | float) -> npt.NDArray[np.complex128]:
         """Return what the spectrum has beyond an expected one, each harmonic weighed by its certainty (Wiener)."""
         rest = self.spectrum - expected
-        power = np.maximum(np.abs(rest) ** 2, 1e-20)
+        power = np.maximum(np.abs(rest) ** 2, TINY)
         return np.asarray(rest * np.maximum(1 - self.variance / power, 0))
 
     def table(self, spectrum: npt.NDArray[np.complex128]) -> npt.NDArray[np.float32]:
@@ -60,8 +54,8 @@ class MeasuredCorrection(NamedTuple):
 
 
 def resolved_harmonics(period_px: float) -> int:
-    """Return how many harmonics of the cycle a fringe of this period (px) resolves."""
-    return max(3, int(_HARMONICS_A_PIXEL * period_px))
+    """Return how many harmonics of the cycle a fringe of this period (px) resolves: the next is the pixel grid."""
+    return math.ceil(period_px) - 1
 
 
 def measure_correction(
@@ -81,7 +75,7 @@ def measure_correction(
     tiles = np.atleast_2d(histogram).astype(np.float64)
     counts = tiles.sum(axis=0)
     bins, total = len(counts), counts.sum()
-    if total < _MIN_COUNTS_A_BIN * bins:
+    if total < bins:  # fewer do not make a distribution
         nothing = np.zeros(bins // 2 + 1)
         return MeasuredCorrection(nothing.astype(np.complex128), np.full(len(nothing), np.inf), counts)
     edges = np.linspace(-np.pi, np.pi, bins, endpoint=False)
@@ -121,7 +115,7 @@ def _scatter(tiles: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     mean = spectra.sum(axis=0) / seen.sum()
     deviations = np.abs(spectra - seen[:, None] * mean) ** 2
     variance = deviations.sum(axis=0) / seen.sum() ** 2 * len(seen) / (len(seen) - 1)
-    return np.asarray(variance / np.maximum(np.abs(mean) ** 2, 1e-20))
+    return np.asarray(variance / np.maximum(np.abs(mean) ** 2, TINY))
 
 
 def modulation_tables(table: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
@@ -176,18 +170,17 @@ def equalized(phase: f32, table: F32Array1) -> f32:
 
 @kernel
 def measure_distribution_kernel(
-    phase: F32Array2,  # (H, W) rad; what lies beyond +-pi, or is NaN, does not count
+    phase: F32Array2,  # (H, W) rad; NO_PHASE where nothing counts
     step: i32,  # px between two samples along a row
-    out_histogram: I32Array2,  # (copies, bins), to be added to
+    out_histogram: I32Array2,  # (copies, bins), to be added to: threads seldom wait for each other
 ):
     height, width = phase.shape[0], phase.shape[1]
     bins = out_histogram.shape[1]
     columns = (width + step - 1) // step
     for sample in range(height * columns):
         y, x = sample // columns, (sample % columns) * step
-        value = phase[y, x]
-        if not ti.math.isnan(value) and ti.abs(value) < PI + _ROUNDING:
-            place = ti.cast(place_in_cycle(value, bins), ti.i32)
+        if has_phase(phase[y, x]):
+            place = ti.cast(place_in_cycle(phase[y, x], bins), ti.i32)
             out_histogram[y % out_histogram.shape[0], ti.min(ti.max(place, 0), bins - 1)] += 1
 
 
@@ -197,7 +190,7 @@ def measure_distribution(phase: F32, bins: int, step: int = 1) -> npt.NDArray[np
     Parameters
     ----------
     phase : (H, W) float32
-        rad; what lies beyond [-pi, pi], or is NaN, does not count.
+        rad in [-pi, pi]; NO_PHASE where nothing counts.
     bins : int
         Bins of the cycle.
     step : int
@@ -214,7 +207,7 @@ def measure_distribution(phase: F32, bins: int, step: int = 1) -> npt.NDArray[np
         The shape or dtype is another one.
     """
     phase = checks.read_array("phase", phase, (None, None), np.float32)
-    histogram = np.zeros((_COPIES, bins), np.int32)
+    histogram = np.zeros((LANES, bins), np.int32)
     measure_distribution_kernel(phase, step, histogram)
     runtime.synchronize()
     return np.asarray(histogram.sum(axis=0), np.int64)

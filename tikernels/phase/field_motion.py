@@ -29,16 +29,15 @@ from tikernels.phase.channel_model import ChannelModel
 from tikernels.phase.channel_template import cycle_and_slope, load_harmonics
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.phase_fit import FittedPhase, doubted, node_model
-from tikernels.phase.phase_vector import color_at
+from tikernels.phase.phase_vector import TINY, color_at
 from tikernels.phase.surfaces import surface_at, surface_matrix
 from tikernels.phase.wrapped_phase import LEAST_NO_PHASE, has_phase
 from tikernels.raw.linearization import LEVEL_TYPES
 
 # The change is averaged on a coarser grid, px.
 _GRID_PX = 2
-# It is known where this share of the window has a phase in both frames, where these agree as well as this, as the
-# length of the mean unit vector, and where it is less than a third of a cycle.
-_FILLED, _AGREEMENT, _FASTEST = 0.1, 0.8, 2.0 * np.pi / 3
+# It is known where this share of the window has a phase in both frames, and where it is less than a third of a cycle.
+_FILLED, _FASTEST = 0.1, 2.0 * np.pi / 3
 # What is undone is right to this fraction: surfaces speed up and turn.
 _DOUBT = 0.2
 #: Turns of fitting the phase and taking the motion out of the image.
@@ -65,7 +64,7 @@ class FieldMotion(NamedTuple):
         """
         weight = runtime.to_host(modulation) ** 2 * np.isfinite(self.change)
         total = (np.nan_to_num(self.change) * weight).sum(dtype=np.float64)
-        return float(total / max(weight.sum(dtype=np.float64), 1e-9))
+        return float(total / max(weight.sum(dtype=np.float64), TINY))
 
 
 def measure_motion(phase: F32, before: F32, field_times: npt.NDArray[np.float64], period_px: float) -> FieldMotion:
@@ -101,11 +100,11 @@ def measure_motion(phase: F32, before: F32, field_times: npt.NDArray[np.float64]
     share = averaged(both)
     mean = averaged(both * np.cos(step)) + 1j * averaged(both * np.sin(step))
     change = np.angle(mean)
-    told = (np.abs(mean) > _AGREEMENT * share) & (np.abs(change) < _FASTEST)
+    told = np.abs(change) < _FASTEST
     filled = share > _FILLED
     change = np.where(told & filled, change, np.nan).astype(np.float32)
     everywhere = cv2.resize(change, now.shape[::-1], interpolation=cv2.INTER_NEAREST)
-    seen = max(float(share[filled].sum()), 1e-6)
+    seen = max(float(share[filled].sum()), TINY)
     times = np.asarray(field_times, np.float64) - np.sort(field_times)[1]
     return FieldMotion(np.asarray(everywhere, np.float32), times, float(share[filled & ~told].sum()) / seen)
 
@@ -159,7 +158,7 @@ def _hold_still_kernel(mixed: bool) -> Any:
                 if ti.static(mixed):
                     surface = surface_matrix(mixing, surface_at(labels, y, x))
                     added, color = surface @ added, surface @ color
-                seen -= 3.0 * brightness[y, x] / ti.max(color.sum(), 1e-12) * added
+                seen -= 3.0 * brightness[y, x] / ti.max(color.sum(), TINY) * added
             for k in ti.static(range(3)):
                 out[y, x, k] = seen[k]
 

@@ -1,6 +1,7 @@
 """What a frame says about itself before it is decoded: the fringe's period, the noise, how bright it is."""
 
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 import numpy.typing as npt
@@ -9,7 +10,7 @@ from tikernels import checks, runtime
 from tikernels._taichi import AnyArray3, F32Array3, I32Array1, f32, ti, vec3
 from tikernels.arrays import LevelsImage
 from tikernels.launching import kernel
-from tikernels.phase.phase_vector import color_at, phase_vector
+from tikernels.phase.phase_vector import TINY, color_at, phase_vector
 from tikernels.raw.linearization import LEVEL_TYPES, WHITE_LEVELS
 
 #: Three samples a cycle and a little more is what a camera must see.
@@ -17,27 +18,29 @@ MIN_PERIOD_PX = 4.0
 #: Share of full scale beyond which a channel is clipped. A pixel with two such channels has lost its phase; one alone
 #: bends it by 0.03 rad at the most.
 CLIPPED = 0.998
-# Columns that are looked at: enough to meet every object that fills a twentieth of the image.
-_COLUMNS = 16
+#: Columns that are looked at: enough to meet every object that fills a twentieth of the image.
+COLUMNS = 16
 # A fringe turns one way: its power at +f without a counterpart at -f is at least this share of all chromatic power, and
 # far above what noise leaves over. Reflectance and noise are real signals, alike at +f and -f.
 _MIN_SHARE = 0.15
-# What is brighter than this share of the brightest is lit.
+# What is brighter than this share of the brightest is lit; clipped at zero, darker light would show half of its noise.
 _LIT = 0.1
-# What is darker than this share of the brightest does not tell the noise: clipped at zero it would show half of it.
-_DARK_SHARE = 0.06
-# About as many rows tell the noise.
-_NOISE_ROWS = 480
-# Groups of samples, equally bright within each, that tell how the noise grows with the light, and samples of each.
-_NOISE_GROUPS, _LEAST_GROUP = 8, 200
+# Groups of samples, equally bright within each, that tell how the noise grows with the light.
+_NOISE_GROUPS = 8
 # Fourth differences leave out tilted stripes, and pixels two apart what demosaicing makes of their neighbours.
 _DIFFERENCE, _APART_PX = (1, -4, 6, -4, 1), 2
-# Groups that differ by less than this share of their brightness do not tell read noise from the light's.
-_MIN_SPREAD = 0.05
-# Mean of the middle fifth of a normal distribution's absolute values, in standard deviations.
-_MIDDLE = 0.6776
-# Columns of what is read off a pixel: b cos(phi), b sin(phi), then three channels, then their fourth differences.
-_COSINE, _SINE, _LIGHT, _CHANGE, _COLUMNS_OF_A_PIXEL = 0, 1, 2, 5, 8
+#: Median of a normal distribution's absolute values, in standard deviations; of their middle fifth the mean is it, too.
+MEDIAN_SIZE = 0.6745
+
+
+class _Probe(IntEnum):
+    """Columns of what is read off a pixel."""
+
+    COSINE = 0  # b cos(phi)
+    SINE = 1  # b sin(phi)
+    LIGHT = 2  # three channels
+    CHANGE = 5  # their fourth differences
+    COLUMNS = 8
 
 
 @dataclass(frozen=True)
@@ -79,7 +82,7 @@ class FrameLevels:
 def probe_frame_kernel(
     image: AnyArray3,  # (H, W, 3) levels
     scale: f32,  # levels to 0..1
-    out_samples: F32Array3,  # (columns, H, 8) 0..1; see _COSINE and so on
+    out_samples: F32Array3,  # (columns, H, 8) 0..1; see `_Probe`
 ):
     columns, height, width = out_samples.shape[0], image.shape[0], image.shape[1]
     for sample in range(columns * height):
@@ -91,11 +94,11 @@ def probe_frame_kernel(
             place = ti.min(ti.max(x + _APART_PX * k - reach, 0), width - 1)
             change += _DIFFERENCE[k] * scale * color_at(image, y, place)
         vector = phase_vector(here)
-        out_samples[column, y, _COSINE] = vector.x
-        out_samples[column, y, _SINE] = vector.y
+        out_samples[column, y, _Probe.COSINE] = vector.x
+        out_samples[column, y, _Probe.SINE] = vector.y
         for k in ti.static(range(3)):
-            out_samples[column, y, _LIGHT + k] = here[k]
-            out_samples[column, y, _CHANGE + k] = change[k]
+            out_samples[column, y, _Probe.LIGHT + k] = here[k]
+            out_samples[column, y, _Probe.CHANGE + k] = change[k]
 
 
 def measure_frame(image: LevelsImage, white_level: float | None = None) -> FrameStatistics:
@@ -120,15 +123,15 @@ def measure_frame(image: LevelsImage, white_level: float | None = None) -> Frame
         Shape or dtype is another one.
     """
     image = checks.read_array("image", image, (None, None, 3), *LEVEL_TYPES)
-    columns = min(_COLUMNS, int(image.shape[1]))
-    out = runtime.empty((columns, int(image.shape[0]), _COLUMNS_OF_A_PIXEL), np.float32)
+    columns = min(COLUMNS, int(image.shape[1]))
+    out = runtime.empty((columns, int(image.shape[0]), _Probe.COLUMNS), np.float32)
     dtype = runtime.dtype_name(image)
     white = white_level or WHITE_LEVELS[dtype]
     probe_frame_kernel(image, 1.0 / white, out)
     samples = runtime.to_host(out)  # synchronises
-    light, changes = samples[..., _LIGHT : _LIGHT + 3], samples[..., _CHANGE : _CHANGE + 3]
-    bright = _bright(light[..., 0] + light[..., 1] + light[..., 2]) / 3
-    fringe = samples[..., _COSINE] + 1j * samples[..., _SINE]
+    light, changes = samples[..., _Probe.LIGHT : _Probe.CHANGE], samples[..., _Probe.CHANGE :]
+    bright = _bright(light[..., 0] + light[..., 1] + light[..., 2]) / light.shape[-1]
+    fringe = samples[..., _Probe.COSINE] + 1j * samples[..., _Probe.SINE]
     noise = _noise(changes, light, bright, 0.0 if dtype.startswith("float") else 1.0 / white)
     lit = light.mean(axis=-1) > _LIT * bright
     clipped = float((light[lit].max(axis=-1) >= CLIPPED).mean()) if lit.any() else 0.0
@@ -149,10 +152,9 @@ def _noise(
     """Return read noise and gain, given the channels (columns, H, 3), their fourth differences, and a grey level."""
     # Devices round differently; which samples are alike must not depend on that.
     light = np.rint(light * np.float32(2**16)) * np.float32(2**-16)
-    # Grouped by the pixel above, whose own noise is another one. Of high images some rows tell as much.
-    every = max(1, light.shape[1] // _NOISE_ROWS)
-    light, changes = light[:, :-1:every], changes[:, 1::every]
-    telling = (light > _DARK_SHARE * bright) & (light < CLIPPED)
+    # Grouped by the pixel above, whose own noise is another one.
+    light, changes = light[:, :-1], changes[:, 1:]
+    telling = (light > _LIT * bright) & (light < CLIPPED)
     light, changes = light[telling], changes[telling]
     levels, variances = [], []
     if not len(light):
@@ -165,20 +167,20 @@ def _noise(
         np.argsort(numbers, kind="stable"), np.cumsum(np.bincount(numbers, minlength=_NOISE_GROUPS))[:-1]
     )
     for group in in_groups:
-        if len(group) >= min(_LEAST_GROUP, len(light) / _NOISE_GROUPS):
+        if len(group) >= min(_NOISE_GROUPS, len(light) / _NOISE_GROUPS):
             # The middle fifth instead of the median: that of whole levels is one or the next.
             first, last = 2 * len(group) // 5, 3 * len(group) // 5
             middle = np.sort(np.abs(changes[group]))[first : last + 1].mean()
             levels.append(light[group].mean())
-            variances.append((middle / _MIDDLE) ** 2 / sum(factor**2 for factor in _DIFFERENCE))
+            variances.append((middle / MEDIAN_SIZE) ** 2 / sum(factor**2 for factor in _DIFFERENCE))
     x, y = np.array(levels, np.float64), np.array(variances, np.float64)
     # A straight line, each variance as sure as it is small, but whole levels hide what is less than one; neither end
     # may be negative.
-    weights = 1 / np.maximum(y + level**2, 1e-12) ** 2
+    weights = 1 / np.maximum(y + level**2, TINY) ** 2
     mean_x, mean_y = np.average(x, weights=weights), np.average(y, weights=weights)
     spread = np.average((x - mean_x) ** 2, weights=weights)
     gain = 0.0
-    if spread > (_MIN_SPREAD * mean_x) ** 2:
+    if spread > 0:
         gain = np.average((x - mean_x) * (y - mean_y), weights=weights) / spread
         gain = min(max(gain, 0.0), mean_y / mean_x)
     return float(np.sqrt(max(mean_y - gain * mean_x, 0.0))), float(gain)
@@ -193,13 +195,13 @@ def _period(signal: npt.NDArray[np.complex64]) -> float | None:
     power = (np.abs(np.fft.fft(signal, axis=1)) ** 2).sum(axis=0)
     frequencies = np.arange(1, (height + 1) // 2)
     turning = power[frequencies] - power[-frequencies]
-    # Between one cycle and a half in view and the shortest period that three colours resolve.
-    usable = (frequencies >= 1.5) & (frequencies * MIN_PERIOD_PX <= height)
+    # Between two cycles in view and the shortest period that three colours resolve.
+    usable = (frequencies >= 2) & (frequencies * MIN_PERIOD_PX <= height)
     if not usable.any() or power.sum() <= 0:
         return None
-    smooth = np.abs(np.convolve(turning, [0.25, 0.5, 0.25], "same")) * usable
+    smooth = np.abs(np.convolve(turning, [0.5, 1.0, 0.5], "same")) * usable
     peak = int(frequencies[np.argmax(smooth)])
-    lobe = (frequencies > 0.7 * peak) & (frequencies < 1.4 * peak) & usable
+    lobe = (2 * frequencies > peak) & (frequencies < 2 * peak) & usable
     weights = np.clip(turning[lobe] * np.sign(turning[lobe].sum()), 0, None)
     if weights.sum() < _MIN_SHARE * power.sum():
         return None

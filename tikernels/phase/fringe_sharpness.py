@@ -7,12 +7,11 @@ take the first harmonic over, so that harmonics from the second on are left with
 Across brightness and phase, along the unit vector m of t x t', only a wrong model leaves light over. Over the samples
 of a tile of the frame, of balanced light c = (C - B) / A and brightness s,
 
-    x = sum w (c.m) (s g.m) / sum w ((s g.m)^2 + (0.03 s)^2),    g = sum over n of (n^2 - 1) t_n,
+    x = sum (c.m) (s g.m) / sum ((s g.m)^2 + (0.03 s)^2),    g = sum over n of (n^2 - 1) t_n.
 
-with a weight w that falls where a sample is off by more than paint or noise may make it (P. J. Huber, Robust estimation
-of a location parameter, Annals of Mathematical Statistics 35, 1964, doi:10.1214/aoms/1177703732). The second term keeps
-x at zero where the light has no harmonics, as of a compensated pattern: a model that is wrong by 0.3 % would make an x
-of 0.1 then. A and B, fitted with the template as it was, have taken half of x up: the step is twice as long.
+The second term keeps x at zero where the light has no harmonics, as of a compensated pattern: a model that is wrong by
+0.3 % would make an x of 0.1 then. A and B, fitted with the template as it was, have taken half of x up: the step is
+twice as long.
 
 By chance, and by a code that changes the contrast from cycle to cycle, x differs by d from tile to tile where the focus
 does not. Tiles that differ by r, RMS, keep 1 - (d / r)^2 of it, and nothing below d (W. James and C. Stein, Estimation
@@ -21,6 +20,8 @@ with quadratic loss, Fourth Berkeley Symposium 1, 1961).
 What equalises the arctangent is the bend by the second harmonic beside the first, exp(3 x) times the frame's. That the
 mean over the frame stays as it was measured fixes the mean of x.
 """
+
+from enum import IntEnum
 
 import cv2
 import numpy as np
@@ -34,24 +35,31 @@ from tikernels.launching import constant, kernel
 from tikernels.phase.channel_template import HARMONICS, load_harmonics, sharpened_cycle_and_slope, sharpening_of
 from tikernels.phase.color_balance import channels_at, sample_at
 from tikernels.phase.equalization import equalized
-from tikernels.phase.phase_vector import cosine_and_sine
+from tikernels.phase.phase_vector import TINY, cosine_and_sine
 from tikernels.phase.wrapped_phase import NO_PHASE, has_phase
 from tikernels.strips import SPREAD, color_of, lanes_of_colors, set_color, strip_at, strip_count
 
-# Tiles both ways, at most, and cycles that each wants; they are averaged with their neighbours.
-_TILES, _CYCLES, _AROUND = 8, 3, 0.7
-# Samples that are off by more than this part of their light count less.
-_HUBER = 0.05
-# What a sample says of x counts beside this, as a fraction of its light; and a tile with less to tell than the second
-# part of the mean one's keeps to the template.
-_PRIOR, _FEW = 0.03, 0.01
+#: Tiles of a frame both ways, at most.
+TILES = 6
+# Cycles that each wants, and how far they are averaged with their neighbours, in tiles.
+_CYCLES, _AROUND = 2, 1.0
+# What a sample says of x counts beside this, as a fraction of its light.
+_PRIOR = 0.03
 # By how much further a step goes than the samples say.
 _STEP = 2.0
-# In focus, x hardly differs from tile to tile, RMS; beyond the most there is hardly a fringe.
-_IN_FOCUS, _MOST = 0.02, 0.7
-# Columns of what a block's samples say: the two sums of x, and their number.
-_PRODUCT, _SQUARE, _COUNT, _SUMS = range(4)
-sharpness_sums = ti.types.matrix(_SUMS, LANES, ti.f32)
+# In focus, x hardly differs from tile to tile, RMS.
+_IN_FOCUS = 0.02
+
+
+class _Sum(IntEnum):
+    """Columns of what a block's samples say."""
+
+    PRODUCT = 0  # the two sums of x
+    SQUARE = 1
+    COUNT = 2  # of the samples
+
+
+sharpness_sums = ti.types.matrix(len(_Sum), LANES, ti.f32)
 
 
 @ti.func
@@ -98,7 +106,7 @@ def sum_sharpness_kernel(
         sums = sharpness_sums(0.0)
         for k in range(count):
             j = first + 2 * k
-            set_color(colors, k, ti.max(channels_at(nodes, node, j, 0), 1e-6))
+            set_color(colors, k, ti.max(channels_at(nodes, node, j, 0), TINY))
             set_color(ambients, k, channels_at(nodes, node, j, 3))
             set_color(sharper, k, sharpening_of(sharpness[node, j]))
         for y in range(i * rows, ti.min((i + 1) * rows, samples.shape[0])):
@@ -113,19 +121,18 @@ def sum_sharpness_kernel(
                 cycle, slope = sharpened_cycle_and_slope(harmonics, counts * phase[k], factors)
                 light = (color_of(seen, k) - color_of(ambients, k)) / color_of(colors, k)
                 brightness = light.dot(cycle) / cycle.dot(cycle)
-                across = cycle.cross(slope).normalized(1e-9)
+                across = cycle.cross(slope).normalized(TINY)
                 effect = brightness * sharpening(harmonics, counts * phase[k], factors).dot(across)
                 left = light.dot(across)
-                weight = counts * ti.min(1.0, _HUBER * ti.max(brightness, 0.0) / (ti.abs(left) + 1e-9))
                 least = _PRIOR * brightness
-                sums[_PRODUCT, k] += weight * left * effect
-                sums[_SQUARE, k] += weight * (effect * effect + least * least)
-                sums[_COUNT, k] += counts
+                sums[_Sum.PRODUCT, k] += counts * left * effect
+                sums[_Sum.SQUARE, k] += counts * (effect * effect + least * least)
+                sums[_Sum.COUNT, k] += counts
         for j in range(start, start + total):
-            for n in ti.static(range(_SUMS)):
+            for n in ti.static(range(len(_Sum))):
                 out_sums[i, j, n] = 0.0
         for k in range(count):
-            for n in ti.static(range(_SUMS)):
+            for n in ti.static(range(len(_Sum))):
                 out_sums[i, first + 2 * k, n] = sums[n, k]
 
 
@@ -141,9 +148,9 @@ class FringeSharpness:
     """
 
     def __init__(self, blocks: tuple[int, int], grid: tuple[int, int], cycles: tuple[float, float]) -> None:
-        high, wide = (int(np.clip(number / _CYCLES, 1, _TILES)) for number in cycles)
+        high, wide = (int(np.clip(number / _CYCLES, 1, TILES)) for number in cycles)
         self._tiles = (wide, high)
-        self._sums = runtime.empty((*blocks, 3), np.float32)
+        self._sums = runtime.empty((*blocks, len(_Sum)), np.float32)
         #: (Hg, Wg) x.
         self.values = constant(np.zeros(grid, np.float32))
 
@@ -183,7 +190,7 @@ class FringeSharpness:
         nodes = checks.read_array("nodes", nodes, (*self.values.shape, 6), np.float32)
         sum_sharpness_kernel(samples, phases, correction, template, nodes, self.values, rows, self._sums)
         sums, size = runtime.to_host(self._sums), self.values.shape[::-1]  # synchronises
-        counts = cv2.resize(np.ascontiguousarray(sums[..., _COUNT]), size, interpolation=cv2.INTER_AREA)
+        counts = cv2.resize(np.ascontiguousarray(sums[..., _Sum.COUNT]), size, interpolation=cv2.INTER_AREA)
         if not counts.any():
             return False
 
@@ -192,13 +199,13 @@ class FringeSharpness:
 
         step = cv2.resize(_STEP * self._tiled(sums), size, interpolation=cv2.INTER_LINEAR)
         values = self.values + step
-        values *= max(0.0, 1 - (doubt / max(spread(values), 1e-9)) ** 2)
+        values *= max(0.0, 1 - (doubt / max(spread(values), TINY)) ** 2)
         values -= np.float32(np.log((counts * np.exp(3 * values)).sum() / counts.sum()) / 3)
-        self.values = constant(np.clip(values, -_MOST, _MOST))
+        self.values = constant(values)
         return spread(step) > max(_IN_FOCUS, doubt)
 
     def _tiled(self, sums: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         """Return x of every tile, given the sums of the blocks."""
         tiles = cv2.resize(sums, self._tiles, interpolation=cv2.INTER_AREA)
         around = cv2.GaussianBlur(tiles, (0, 0), _AROUND, borderType=cv2.BORDER_CONSTANT)
-        return np.asarray(around[..., _PRODUCT] / (around[..., _SQUARE] + _FEW * tiles[..., _SQUARE].mean() + 1e-12))
+        return np.asarray(around[..., _Sum.PRODUCT] / np.maximum(around[..., _Sum.SQUARE], TINY))

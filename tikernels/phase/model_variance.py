@@ -6,15 +6,10 @@ The mean of the misfit is one where the model is right, and a model that is wron
 the usual scaling of a fit's variance by its chi square, place by place. Over a few pixels `misfit` is that mean less
 one, where chance does not make it: at an edge of paint, a highlight, a spot of another colour. Over the balance window
 `error` is the mean of (misfit - 1) / precision, as of a surface whose colour acts otherwise than the model says.
-
-The fit allows for a more uneven contrast than surfaces have, of standard deviation K, so that none bends the phase. Its
-misfit is in units of that, some (1 + K^2 precision) variances of noise, and is converted to what is usual, k:
-
-    misfit = fit's misfit (1 + K^2 precision) / (1 + k^2 precision)
 """
 
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
@@ -22,7 +17,7 @@ import numpy.typing as npt
 
 from tikernels import checks, runtime
 from tikernels._taichi import F32Array2, U8Array2, f32, i32, ti
-from tikernels.arrays import F32, U8, Array, E
+from tikernels.arrays import F32, U8
 from tikernels.lanes import (
     Lanes,
     as_lanes,
@@ -36,43 +31,20 @@ from tikernels.lanes import (
     width_of,
 )
 from tikernels.launching import kernel
-from tikernels.phase.balance_window import SIGMA_ACROSS, SIGMA_ALONG
+from tikernels.phase.balance_window import SIGMA_ACROSS, SIGMA_ALONG, block_rows
 from tikernels.phase.phase_fit import MAX_MISFIT
+from tikernels.phase.phase_vector import TINY
 
-# Misfits are averaged over this many pixels both ways. Where the model is right their mean exceeds one by less than the
-# second: two standard deviations, sqrt(2 / 25) each. A single pixel counts for no more than the third.
-_AROUND_PX, _BY_CHANCE, _MOST_MISFIT = 5, 0.57, 50.0
+# Misfits are averaged over this many pixels both ways.
+_AROUND_PX = 5
 # In the mean over the window a pixel counts for no more than this, rad^2: a highlight is not its neighbourhood's error.
 _MOST_VARIANCE = 0.25
-# Blocks of a cycle that tell that mean, by a column of each.
-_BLOCKS_A_CYCLE = 2.5
-_LEAST_SHARE = 1e-3
-#: Of a phase of which nothing is known, 1 / rad^2.
-LEAST_PRECISION = 1e-6
-
-
-class ContrastDoubt(NamedTuple):
-    """Standard deviations of a pixel's contrast about its neighbourhood's, as a fraction."""
-
-    allowed: float
-    """That the fit allows for."""
-    usual: float
-    """That is usual."""
 
 
 @ti.func
 def divided_by(misfit: f32) -> f32:
     """Return what the fit has divided a pixel's precision by already, for its misfit is large."""
-    return ti.max(1.0, ti.min(misfit, _MOST_MISFIT) * (1.0 / MAX_MISFIT))
-
-
-@ti.func
-def counted(misfit: f32, sure: f32, allowed: f32, usual: f32) -> f32:
-    """Return a misfit in units of what noise and the usual contrast make, capped.
-
-    `sure` is the precision before the fit divided it; the doubts are squared.
-    """
-    return ti.min(misfit * (1.0 + allowed * sure) / (1.0 + usual * sure), _MOST_MISFIT)
+    return ti.max(1.0, misfit * (1.0 / MAX_MISFIT))
 
 
 @kernel
@@ -80,8 +52,6 @@ def sum_blocks_kernel(
     precision: F32Array2,  # (H, W) 1 / rad^2
     misfit: F32Array2,  # (H, W)
     mask: U8Array2,  # (H, W)
-    allowed: f32,  # see `ContrastDoubt`, squared
-    usual: f32,
     step: i32,  # side of a block, px
     out_excess: F32Array2,  # (rows, columns) rad^2, the mean over a column of each block, 0 off the mask
     out_share: F32Array2,  # (rows, columns) which part of that lies on the mask
@@ -95,40 +65,12 @@ def sum_blocks_kernel(
         excess, share = 0.0, 0.0
         for y in range(first, stop):
             if mask[y, x] != 0:
-                sure = ti.max(divided_by(misfit[y, x]) * precision[y, x], LEAST_PRECISION)
-                variance = (counted(misfit[y, x], sure, allowed, usual) - 1.0) / sure
+                sure = ti.max(divided_by(misfit[y, x]) * precision[y, x], TINY)
+                variance = (misfit[y, x] - 1.0) / sure
                 excess += ti.min(variance, _MOST_VARIANCE)
                 share += 1.0
         out_excess[row, column] = excess / ti.cast(stop - first, ti.f32)
         out_share[row, column] = share / ti.cast(stop - first, ti.f32)
-
-
-@cache
-def _count_misfits_kernel(wide: bool) -> Any:
-    """Return the kernel for rows of vectors, or of numbers."""
-    lanes = Lanes.of(wide)
-
-    @kernel(whole_vectors=wide)
-    def count_misfits_kernel(
-        precision: planes(wide),  # (H, W) 1 / rad^2
-        misfit: planes(wide),  # (H, W)
-        mask: planes(wide, ti.u8),  # (H, W)
-        allowed: f32,  # see `ContrastDoubt`, squared
-        usual: f32,
-        out: planes(wide),  # (H, W) as far as it counts; 0 off the mask
-    ):
-        height, width = mask.shape[0], width_of(mask, wide)
-        for t in range(height * lane_count(width, wide)):
-            y, place = lanes_at(t, width, wide)
-            sure = load_lanes(precision, lanes.floats, y, place, width, wide)
-            misfits = load_lanes(misfit, lanes.floats, y, place, width, wide)
-            holds = load_lanes(mask, lanes.bytes, y, place, width, wide)
-            for k in range(lanes.count):
-                seen = counted(misfits[k], divided_by(misfits[k]) * sure[k], allowed, usual)
-                misfits[k] = ti.select(holds[k] != 0, seen, 0.0)
-            store_lanes(out, y, place, width, misfits, wide)
-
-    return count_misfits_kernel
 
 
 @cache
@@ -154,18 +96,17 @@ def _model_variance_kernel(wide: bool) -> Any:
             counts = load_lanes(count, lanes.floats, y, place, width, wide)
             variance = load_lanes(error, lanes.floats, y, place, width, wide)
             for k in range(lanes.count):
-                many = ti.max(counts[k], 1e-3)
+                many = ti.max(counts[k], 1.0)
                 mean = sums[k] / many
-                beyond = ti.select(mean > 1.0 + _BY_CHANCE * _AROUND_PX / ti.sqrt(many), mean - 1.0, 0.0)
-                variance[k] += beyond / (divided_by(own[k]) * ti.max(sure[k], LEAST_PRECISION))
+                # Beyond two standard deviations of the mean where the model is right.
+                beyond = ti.select(mean > 1.0 + 2.0 * ti.sqrt(2.0 / many), mean - 1.0, 0.0)
+                variance[k] += beyond / (divided_by(own[k]) * ti.max(sure[k], TINY))
             store_lanes(out, y, place, width, variance, wide)
 
     return model_variance_kernel
 
 
-def model_variance(
-    precision: F32, misfit: F32, mask: U8, contrast: ContrastDoubt, period_px: float, out: F32 | None = None
-) -> F32:
+def model_variance(precision: F32, misfit: F32, mask: U8, period_px: float, out: F32 | None = None) -> F32:
     """Return the variance that the channels' model leaves, whatever is averaged over.
 
     Parameters
@@ -176,8 +117,6 @@ def model_variance(
         What it says of the model; see `FittedPhase`.
     mask : (H, W) uint8
         Valid pixels.
-    contrast : ContrastDoubt
-        How uneven a contrast the fit has allowed for, and what is usual.
     period_px : float
         Camera px a cycle.
     out : (H, W) float32, optional
@@ -198,40 +137,35 @@ def model_variance(
     misfit = checks.read_array("misfit", misfit, shape, np.float32)
     mask = checks.read_array("mask", mask, shape, np.uint8)
     out = checks.out_buffer("out", out, shape, np.float32)
-    telling = runtime.empty(shape, np.float32)
-    counting, wide = whole_rows(precision, misfit, mask, telling)
-    *seen, counts = (as_lanes(array, wide) for array in counting)
-    _count_misfits_kernel(wide)(*seen, contrast.allowed**2, contrast.usual**2, counts)
-    put_back(counting[3], telling)
-    sums = (_sums_around(telling), _sums_around(mask), _window_error(precision, misfit, mask, contrast, period_px))
+    inside, seen = runtime.to_host(mask), runtime.to_host(misfit)  # synchronises
+    # What is beyond is the pixel's own, and not its neighbours'.
+    counted = np.where(inside != 0, np.minimum(seen, np.float32(MAX_MISFIT)), np.float32(0))
+    sums = (_sums_around(counted), _sums_around(inside), _window_error(precision, misfit, mask, period_px))
     rows, wide = whole_rows(precision, misfit, *(runtime.to_device(part) for part in sums), out)
     _model_variance_kernel(wide)(*(as_lanes(array, wide) for array in rows))
     put_back(rows[-1], out)
     return out
 
 
-def _sums_around(values: Array[E]) -> npt.NDArray[np.float32]:
+def _sums_around(values: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
     """Return the sums over the pixels around each, (H, W) float32; beyond the image there is nothing."""
-    seen = runtime.to_host(values)  # synchronises
-    sums, side = runtime.empty_on_host(seen.shape, np.float32), (_AROUND_PX, _AROUND_PX)
-    cv2.boxFilter(seen, cv2.CV_32F, side, sums, normalize=False, borderType=cv2.BORDER_CONSTANT)
+    sums, side = runtime.empty_on_host(values.shape, np.float32), (_AROUND_PX, _AROUND_PX)
+    cv2.boxFilter(values, cv2.CV_32F, side, sums, normalize=False, borderType=cv2.BORDER_CONSTANT)
     return sums
 
 
-def _window_error(
-    precision: F32, misfit: F32, mask: U8, contrast: ContrastDoubt, period_px: float
-) -> npt.NDArray[np.float32]:
+def _window_error(precision: F32, misfit: F32, mask: U8, period_px: float) -> npt.NDArray[np.float32]:
     """Return the variance that the model leaves over the balance window, (H, W) float32, rad^2."""
     height, width = (int(length) for length in mask.shape)
-    step = max(1, int(period_px / _BLOCKS_A_CYCLE))
+    step = block_rows(period_px)
     blocks = (-(-height // step), -(-width // step))
     excess, share = runtime.empty(blocks, np.float32), runtime.empty(blocks, np.float32)
-    sum_blocks_kernel(precision, misfit, mask, contrast.allowed**2, contrast.usual**2, step, excess, share)
+    sum_blocks_kernel(precision, misfit, mask, step, excess, share)
     along, across = SIGMA_ALONG * period_px / step, SIGMA_ACROSS * period_px / step
     sums, shares = (
         cv2.GaussianBlur(runtime.to_host(part), (0, 0), along, sigmaY=across) for part in (excess, share)
     )  # synchronises
-    error = np.maximum(sums / np.maximum(shares, np.float32(_LEAST_SHARE)), 0)
+    error = np.maximum(sums / np.maximum(shares, np.float32(TINY)), 0)
     between = runtime.empty_on_host((blocks[0] * step, blocks[1] * step), np.float32)
     cv2.resize(error, between.shape[::-1], between, interpolation=cv2.INTER_LINEAR)
     return np.ascontiguousarray(between[:height, :width])

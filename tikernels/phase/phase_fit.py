@@ -51,7 +51,7 @@ from tikernels.phase.channel_template import load_harmonics, sharpened_cycle_and
 from tikernels.phase.crosstalk import Crosstalk, weighed_vector
 from tikernels.phase.equalization import equalized
 from tikernels.phase.frame_statistics import FrameLevels
-from tikernels.phase.phase_vector import arctangent, color_at, matrix_of, modulation_of
+from tikernels.phase.phase_vector import SIGMAS, TINY, arctangent, color_at, matrix_of, modulation_of
 from tikernels.phase.surfaces import (
     neutral_light,
     shows_surface,
@@ -66,8 +66,8 @@ from tikernels.strips import STRIP, color_of, set_color, strip_at, strip_count
 
 # The arctangent is never further off than this; a model that says so is wrong there. rad
 _MAX_STEP = 0.3
-#: A misfit of up to three standard deviations is noise; the square of that.
-MAX_MISFIT = 9.0
+#: Larger misfits, the squares of what is left over, are not noise.
+MAX_MISFIT = SIGMAS**2
 
 
 class FittedPhase(NamedTuple):
@@ -133,8 +133,8 @@ def pixel_model(
 @ti.func
 def estimator_of(light: vec3, model: vec3, change: vec3, swing: vec3, contrast_doubt: f32):
     """Return E, D, v and s of the module, of channels in units of their noise."""
-    inverse_square = 1.0 / ti.max(model.dot(model), 1e-12)
-    brightness = ti.max(light.dot(model) * inverse_square, 1e-6)
+    inverse_square = 1.0 / ti.max(model.dot(model), TINY)
+    brightness = ti.max(light.dot(model) * inverse_square, TINY)
     of_phase = change - change.dot(model) * inverse_square * model
     of_contrast = swing - swing.dot(model) * inverse_square * model
     doubt = contrast_doubt * brightness
@@ -151,13 +151,13 @@ def fitted_step(light: vec3, model: vec3, change: vec3, swing: vec3, contrast_do
     """
     estimator, of_phase, variance, brightness = estimator_of(light, model, change, swing, contrast_doubt)
     # Divisions cost most: reciprocals come from one of their product.
-    curvature, square = ti.max(estimator.dot(of_phase), 1e-12), ti.max(of_phase.dot(of_phase), 1e-12)
+    curvature, square = ti.max(estimator.dot(of_phase), TINY), ti.max(of_phase.dot(of_phase), TINY)
     reciprocal = 1.0 / (curvature * variance * brightness * square)
     step = light.dot(estimator) * variance * square * reciprocal
     residual = light.dot(model.cross(of_phase))
     # In this order, as the products of what is free of noise are too large for float32.
     share = curvature * reciprocal * brightness
-    misfit = residual * residual / ti.max(model.dot(model), 1e-12) * share
+    misfit = residual * residual / ti.max(model.dot(model), TINY) * share
     precision = share * curvature * square * brightness * brightness
     return step, precision, misfit, brightness
 

@@ -8,17 +8,25 @@ without lag and crosstalk (equation 3.3 of Je, Lee and Park, Color-phase analysi
 rapid range imaging, 2004). Every stage that looks at the phase of a pixel takes it from here.
 """
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
 from tikernels._taichi import AnyArray3, F32Array2, f32, i32, mat3, ti, vec3
 
-PI = 3.141592653589793
+PI = math.pi
+#: Divisors that may be zero are held above this, in levels, rad or their squares: what a frame shows is more.
+TINY = 1e-12
+#: What is further from what is expected than so many standard deviations is not noise.
+SIGMAS = 3.0
 
 # Odd minimax polynomial for the arctangent on [-1, 1]; its error is 1.7e-6 rad, where ti.atan2 is exact but costs ten
 # times as much on the CPU.
 _ATAN = (0.999977219, -0.332622823, 0.193540349, -0.116426418, 0.0526472864, -0.0117191117)
-_SIGN = -(2**31)  # the sign bit of a float32
+_SIGN = np.iinfo(np.int32).min  # the sign bit of a float32
+# Taylor's series of sine over angle and of cosine, in the angle's square.
+_SINE, _COSINE = (tuple((-1) ** n / math.factorial(2 * n + odd) for n in range(7)) for odd in (1, 0))
 
 
 @ti.func
@@ -45,8 +53,10 @@ def arctangent(y: f32, x: f32) -> f32:
     # In the upper half plane the angle is pi/4 (right) or 3 pi/4 (left) less the arctangent of a ratio within [-1, 1].
     height = ti.abs(y)
     ratio = (x - with_sign_of(height, x)) / ti.max(ti.abs(x) + height, 1e-30)
-    s = ratio * ratio
-    angle = ratio * (_ATAN[0] + s * (_ATAN[1] + s * (_ATAN[2] + s * (_ATAN[3] + s * (_ATAN[4] + s * _ATAN[5])))))
+    angle, square = 0.0, ratio * ratio
+    for n in ti.static(range(len(_ATAN))):
+        angle = angle * square + ti.static(_ATAN[-1 - n])
+    angle *= ratio
     return with_sign_of(ti.max(0.5 * PI - with_sign_of(0.25 * PI, x) - angle, 0.0), y)
 
 
@@ -54,9 +64,12 @@ def arctangent(y: f32, x: f32) -> f32:
 def cosine_and_sine(angle: f32):
     """Return both, for angles within a tenth beyond [-pi, pi]; error 2e-6."""
     half = 0.5 * angle
-    s = half * half
-    sine = half * (1.0 + s * (-1 / 6 + s * (1 / 120 + s * (-1 / 5040 + s * (1 / 362880 - s / 39916800)))))
-    cosine = 1.0 + s * (-1 / 2 + s * (1 / 24 + s * (-1 / 720 + s * (1 / 40320 + s * (-1 / 3628800 + s / 479001600)))))
+    square = half * half
+    sine, cosine = 0.0, 0.0
+    for n in ti.static(range(len(_SINE))):
+        sine = sine * square + ti.static(_SINE[-1 - n])
+        cosine = cosine * square + ti.static(_COSINE[-1 - n])
+    sine *= half
     return cosine * cosine - sine * sine, 2.0 * sine * cosine
 
 
@@ -70,7 +83,7 @@ def wrap(angle: f32) -> f32:
 def phase_vector(light: vec3) -> vec3:
     """Return b cos(phi), b sin(phi) and the background a of R, G, B = a + b cos(phi + (-1, 0, 1) 2 pi/3)."""
     r, g, b = light.x, light.y, light.z
-    return vec3((2.0 * g - r - b) / 3.0, (r - b) * 0.5773502691896258, (r + g + b) / 3.0)
+    return vec3((2.0 * g - r - b) / 3.0, (r - b) / ti.sqrt(3.0), (r + g + b) / 3.0)
 
 
 @ti.func

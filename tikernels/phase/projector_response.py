@@ -22,12 +22,10 @@ _TURNS = 2 * np.pi * np.array([[-1], [0], [1]])
 _POINTS, _HARMONICS = 4096, 64
 # Blurs that are tried, as -ln q; at the last one the third harmonic of gamma 2 is a fifth of its own.
 _BLURS = np.linspace(0.0, 0.6, 31)
-# Lens, pixels and focus together are usually a Gaussian of this deviation, px, give or take as much in its square.
-_USUAL_BLUR_PX = 0.7
-# How far a harmonic of the correction may be from what response and blur make it: rad, and as a fraction.
-_WIDTH, _FRACTION = 0.01, 0.1
-# Harmonics from which the blur is told.
-_TELLING = 12
+# How far a harmonic of the correction may be from what response and blur make it, rad.
+_WIDTH = 0.01
+# Variance of the expected spectrum, in its own units: those of BINS samples of rad.
+_VARIANCE = (0.5 * BINS * _WIDTH) ** 2
 
 
 def light_spectrum(
@@ -136,10 +134,10 @@ class ResponsePrior:
         misfit : float
             What speaks against this response, in squares of standard deviations.
         """
-        usual = 2 * (np.pi * _USUAL_BLUR_PX / period_px) ** 2
-        told = slice(1, _TELLING + 1)
-        expected, seen = self._spectra[:, told], measured.spectrum[told]
-        deviations = np.abs(expected - seen) ** 2 / (measured.variance[told] + self._width(expected))
+        # Lens, pixels and focus together are usually a Gaussian of a pixel, give or take as much in its square.
+        usual = 2 * (np.pi / period_px) ** 2
+        expected, seen = self._spectra[:, 1:], measured.spectrum[1:]
+        deviations = np.abs(expected - seen) ** 2 / (measured.variance[1:] + _VARIANCE)
         misfit = deviations.sum(axis=1) + ((_BLURS - usual) / usual) ** 2
         best = int(misfit.argmin())
         return float(_BLURS[best]), float(misfit[best])
@@ -148,13 +146,8 @@ class ResponsePrior:
         """Return the spectrum of the correction: the expected one, and of the rest what the frame is sure of."""
         expected = self._spectra[int(np.abs(_BLURS - blur).argmin())]
         rest = measured.beyond(expected)
-        return np.asarray(expected + self._width(expected) / (self._width(expected) + measured.variance) * rest)
+        return np.asarray(expected + _VARIANCE / (_VARIANCE + measured.variance) * rest)
 
     def template(self, matrix: npt.NDArray[np.floating], blur: float) -> npt.NDArray[np.float32]:
         """Return one cycle of the channels that this matrix makes of the light; see `known_template`."""
         return known_template(matrix, blurred(self._light, blur))
-
-    @staticmethod
-    def _width(expected: npt.NDArray[np.complex128]) -> npt.NDArray[np.float64]:
-        """Return the variance of the expected spectrum, in its own units: those of BINS samples of rad."""
-        return np.asarray((0.5 * BINS * _WIDTH) ** 2 + (_FRACTION * np.abs(expected)) ** 2)

@@ -42,7 +42,7 @@ from tikernels.lanes import (
 )
 from tikernels.launching import kernel
 from tikernels.phase.phase_change import RATE_ACROSS, RATE_ALONG, measure_rates, rates_shape
-from tikernels.phase.phase_vector import PI, wrap
+from tikernels.phase.phase_vector import PI, TINY, wrap
 from tikernels.phase.wrapped_phase import LEAST_NO_PHASE, NO_PHASE, STEP_PHASE, has_phase, mark_no_phase_kernel
 
 # A pair of neighbours counts while each is within a radian of what the usual change leads to, and the surface bends
@@ -51,12 +51,6 @@ from tikernels.phase.wrapped_phase import LEAST_NO_PHASE, NO_PHASE, STEP_PHASE, 
 _BEND_SIGMAS = 4.0
 _LEAST_BEND, _MAX_BEND = 0.1, 0.6
 _MAX_CHANGE = 1.0
-# 1 / rad^2, where nothing is known of the noise.
-_LEAST_PRECISION = 1e-6
-# Rows that are more or less sure than a pixel's own count for more or less, up to this many times.
-_MOST_WEIGHT = 8.0
-# rad, farther than any unwrapped phase: where there is none.
-_FAR, _NO_ROW = 1e6, 4e6
 # A neighbour that departs by more than this from the usual change lies on another surface: 0.8 rad is a depth step of
 # 6 mm on that rig; noise of 0.2 rad a pixel passes.
 MAX_DEPARTURE = 0.8
@@ -67,6 +61,8 @@ _SAME_SURFACE = 0.3
 # What is known of the bend beforehand, as if seen by this sum of fourth powers of distances, px^4: where only the next
 # neighbours count, half of the pixel's own phase stays; where all do, it changes nothing.
 _BEND_PRIOR = 2.0
+#: Weights of rows in a third difference.
+THIRD_DIFFERENCE = (1, -3, 3, -1)
 #: The largest window: each neighbour more takes longer to compile.
 MAX_SMOOTHING_PX = 15
 
@@ -172,7 +168,7 @@ def _smooth_rows_kernel(pairs: int, wide: bool) -> Any:
                 to_upper = ti.select(above == y, 2.0 * NO_NEIGHBOUR, to_upper)
                 to_lower = ti.select(below == y, 2.0 * NO_NEIGHBOUR, to_lower)
                 step = between_surfaces(to_left, to_right) | between_surfaces(to_upper, to_lower)
-                variance = 1.0 / (certainty[k] + _LEAST_PRECISION)
+                variance = 1.0 / (certainty[k] + TINY)
                 per_bend = inverse_bend(6.0 * variance)
                 total, total_2, count, squares, fourths = 0.0, 0.0, 1.0, 0.0, 0.0
                 for tap in ti.static(range(1, pairs + 1)):
@@ -231,8 +227,6 @@ def _smooth_columns_kernel(pairs: int, wraps: bool, wide: bool) -> Any:
             variance = load_lanes_of(rows, lanes.floats, _Row.MEAN_VARIANCE, y, place, width, wide)
             count, squares, fourths = lanes.floats(1.0), lanes.floats(0.0), lanes.floats(0.0)
             total, total_2, total_bend = lanes.floats(0.0), lanes.floats(0.0), lanes.floats(0.0)
-            for k in range(lanes.count):
-                centre[k] = ti.select(holds[k] != 0, centre[k], _FAR)
             for tap in ti.static(range(1, pairs + 1)):
                 if y >= tap and y + tap < height:
                     change = change_over(rate, tap) if ti.static(wraps) else tap * rate
@@ -246,12 +240,12 @@ def _smooth_columns_kernel(pairs: int, wraps: bool, wide: bool) -> Any:
                     others = load_lanes_of(rows, lanes.floats, _Row.MEAN_VARIANCE, above, place, width, wide)
                     others += load_lanes_of(rows, lanes.floats, _Row.MEAN_VARIANCE, below, place, width, wide)
                     for k in range(lanes.count):
-                        high = ti.select(holds_above[k] != 0, upper[k], _NO_ROW)
-                        low = ti.select(holds_below[k] != 0, lower[k], _NO_ROW)
-                        one = change_across(centre[k], high, -change, wraps)
-                        other = change_across(centre[k], low, change, wraps)
+                        one = change_across(centre[k], upper[k], -change, wraps)
+                        other = change_across(centre[k], lower[k], change, wraps)
+                        hold = (holds[k] != 0) & (holds_above[k] != 0) & (holds_below[k] != 0)
                         counts = pair_counts(one, other, inverse_bend(others[k] + 4.0 * variance[k]))
-                        weight = counts * ti.min(2.0 * variance[k] / others[k], _MOST_WEIGHT)
+                        counts = ti.select(hold, counts, 0.0)
+                        weight = counts * 2.0 * variance[k] / others[k]
                         both = ti.select(counts > 0.0, weight * (one + other), 0.0)
                         total[k], total_2[k] = total[k] + both, total_2[k] + tap * tap * both
                         total_bend[k] += weight * bends[k]
@@ -264,9 +258,8 @@ def _smooth_columns_kernel(pairs: int, wraps: bool, wide: bool) -> Any:
                 # A row's mean and what its quadric adds to it are uncorrelated.
                 of_bend = (fit_variance[k] - variance[k]) / count[k]
                 left = variance[k] * quadric_share(a, b, count[k], squares[k], fourths[k]) + of_bend
-                inside = centre[k] < 0.5 * _FAR
-                centre[k] = ti.select(inside, fitted, ti.math.nan)
-                variance[k] = ti.select(inside, left, variance[k])
+                centre[k] = ti.select(holds[k] != 0, fitted, ti.math.nan)
+                variance[k] = ti.select(holds[k] != 0, left, variance[k])
             store_lanes(out, y, place, width, centre, wide)
             store_lanes(out_variance, y, place, width, variance, wide)
 
@@ -291,8 +284,8 @@ def left_of_variance(pairs: int) -> float:
 
 def left_of_differences(pairs: int, step: int) -> float:
     """Return the variance of third differences over rows this many px apart, for a variance of one before smoothing."""
-    third = np.zeros(3 * step + 1)
-    third[::step] = (1, -3, 3, -1)
+    third = np.zeros((len(THIRD_DIFFERENCE) - 1) * step + 1)
+    third[::step] = THIRD_DIFFERENCE
     mean, quadric = _window(pairs)
     across = [float(np.sum(np.convolve(third, weights) ** 2)) for weights in (mean, quadric)]
     left, bend = float(mean @ mean), float(quadric @ quadric - mean @ mean)

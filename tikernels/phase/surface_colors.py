@@ -4,23 +4,23 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from tikernels.phase.phase_vector import TINY
+
 _Array = npt.NDArray[np.float64]
 
-# Colours are counted on a grid of this step, in natural logarithms, as far out as this many steps, and smoothed over
-# the third. Roots of the counts, as a small surface is to stand out beside a large one.
-_STEP, _FARTHEST, _SMOOTH = 0.025, 120, 1.2
+# Colours are counted on a grid of this step, in natural logarithms, and smoothed over as much.
+_STEP = 0.025
 # The least distance of two colours, in steps.
 _APART = 5
 _MOST = 24
 
-# Channels of half of the brightest's light or more name a colour: red 4, green 2, blue 1.
-_HALF = 0.5
-_WORDS = {1: "blue", 2: "green", 3: "cyan", 4: "red", 5: "magenta", 6: "yellow", 7: "a pale colour"}
+# Names of colours, by whether red, green and blue have half of the brightest's light or more.
+_WORDS = ((("", "blue"), ("green", "cyan")), (("red", "magenta"), ("yellow", "a pale colour")))
 
 
 def color_ratios(light: npt.ArrayLike) -> _Array:
     """Return the logarithms of channels, (..., 3), less their mean: a colour without its brightness."""
-    logs = np.log(np.maximum(np.asarray(light, np.float64), 1e-9))
+    logs = np.log(np.maximum(np.asarray(light, np.float64), TINY))
     return np.asarray(logs - (_sum_of_channels(logs) / 3)[..., None])
 
 
@@ -32,8 +32,8 @@ def color_word(ratios: _Array) -> str:
     >>> color_word(color_ratios([0.6, 0.5, 0.1]))
     'yellow'
     """
-    bright = ratios > ratios.max() + np.log(_HALF)
-    return _WORDS[int(bright @ (4, 2, 1))]
+    red, green, blue = map(int, ratios > ratios.max() + np.log(0.5))
+    return _WORDS[red][green][blue]
 
 
 def common_colors(ratios: _Array, weights: _Array, least: float) -> _Array:
@@ -53,12 +53,13 @@ def common_colors(ratios: _Array, weights: _Array, least: float) -> _Array:
     (n, 3) float64
         1 to 24 ratios, the commonest first.
     """
-    red, blue = (np.clip(np.rint(ratios[:, c] / _STEP), -_FARTHEST, _FARTHEST).astype(np.int32) for c in (0, 2))
+    red, blue = (np.rint(ratios[:, c] / _STEP).astype(np.int32) for c in (0, 2))
     first = np.array([red.min(), blue.min()]) - _APART
     rows, columns = np.array([red.max(), blue.max()]) + _APART + 1 - first
     cell = (red - first[0]) * columns + (blue - first[1])
     counts = np.bincount(cell, weights, rows * columns).reshape(rows, columns).astype(np.float32)
-    smooth = cv2.GaussianBlur(np.sqrt(counts), (0, 0), _SMOOTH)
+    # Roots, as a small surface is to stand out beside a large one.
+    smooth = cv2.GaussianBlur(np.sqrt(counts), (0, 0), 1.0)
     peaks = np.argwhere((smooth == cv2.dilate(smooth, np.ones((_APART, _APART)))) & (smooth > 0))
     peaks = peaks[np.argsort(-smooth[tuple(peaks.T)], kind="stable")][: 3 * _MOST]
     centers, cells = _color_of(peaks + first), np.argwhere(counts > 0)
@@ -68,7 +69,7 @@ def common_colors(ratios: _Array, weights: _Array, least: float) -> _Array:
         if len(centers) == 1 or (sizes.min() >= least and len(centers) <= _MOST):
             break
         centers = np.delete(centers, sizes.argmin(), axis=0)
-    nearest, shares = nearest_colors(ratios, centers), weights + 1e-9
+    nearest, shares = nearest_colors(ratios, centers), weights + TINY
     means = np.array(
         [shares[nearest == k] @ ratios[nearest == k] / shares[nearest == k].sum() for k in range(len(centers))]
     )

@@ -10,21 +10,20 @@ import numpy.typing as npt
 
 from tikernels import runtime
 from tikernels.phase.crosstalk import Crosstalk
+from tikernels.phase.equalization import BINS
 from tikernels.phase.phase_vector import channel_waves
 from tikernels.phase.surfaces import NO_SURFACE
 
-# Pixels that are this near to another surface, across the stripes and along them, px, are off by this part of what they
+# Pixels that are this near to another surface, across the stripes and along them, px, are off by half of what they
 # would be if they were the other's: a mixture of any share has 0.29, and some are the other's.
-_NEAR_PX, _PART = (2, 3), 0.4
-# Places of the cycle that are looked at.
-_PHASES = 48
+_NEAR_PX, _PART = (2, 3), 0.5
 
 
 def turns_by_confusion(crosstalk: Crosstalk) -> npt.NDArray[np.float64]:
     """Return by how much the phase is off if light of surface a is decoded as b's, (N, N), rad: RMS over a cycle."""
     mixing, unmixing = (table.astype(np.float64) for table in (crosstalk.surfaces.mixing, crosstalk.surfaces.unmixing))
-    phase = np.linspace(-np.pi, np.pi, _PHASES, endpoint=False)
-    pixel = np.stack([np.ones(_PHASES), 0.5 * np.cos(phase), 0.5 * np.sin(phase)])
+    phase = np.linspace(-np.pi, np.pi, BINS, endpoint=False)
+    pixel = np.stack([np.ones(BINS), 0.5 * np.cos(phase), 0.5 * np.sin(phase)])
     neutral = crosstalk.matrix.astype(np.float64) @ channel_waves(crosstalk.lag) @ pixel
     seen = np.einsum("bij,ajk,kp->abip", unmixing, mixing, neutral)
     balanced = seen / seen.mean(axis=3, keepdims=True)

@@ -18,7 +18,7 @@ from tikernels.arrays import U8
 from tikernels.launching import constant
 
 #: Of a pixel that shows no fringe.
-NO_SURFACE = 255
+NO_SURFACE = np.iinfo(np.uint8).max
 
 
 @dataclass(frozen=True, eq=False)

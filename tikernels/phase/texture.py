@@ -13,7 +13,7 @@ from tikernels import checks
 from tikernels._taichi import AnyArray3, F32Array1, F32Array2, F32Array3, I32Array1, U8Array2, f32, i32, ti, vec3
 from tikernels.arrays import F32, U8, Mask
 from tikernels.launching import constant, kernel
-from tikernels.phase.brightness_ripple import contrast_slope, exponential_near_zero, measure_ripple, ripple_at
+from tikernels.phase.brightness_ripple import contrast_slope, measure_ripple, ripple_at
 from tikernels.phase.phase_vector import color_at
 from tikernels.phase.white_light import FrameLight, light_by_white
 from tikernels.raw.linearization import srgb_values
@@ -25,8 +25,6 @@ from tikernels.strips import STRIP, strip_at, strip_count
 BRIGHTEST = 1.5
 # Places of the table that encodes: from one to the next are 0.1 levels.
 _ROOTS = 4096
-# What follows the fringe is a few per cent, and half where peaks are not of one code; beyond it is something else.
-_MOST_RIPPLE = 0.4
 lanes = ti.types.vector(STRIP, ti.f32)
 
 
@@ -51,8 +49,7 @@ def encode_texture_kernel(
             if mask[y, first + k] != 0:
                 even[k], slow[k] = phase[y, first + k], slope * (contrast[y, first + k] - mean)
         for k in range(STRIP):
-            ripples = ripple_at(ripple, even[k]) + slow[k]
-            even[k] = exponential_near_zero(-ti.max(ti.min(ripples, _MOST_RIPPLE), -_MOST_RIPPLE))
+            even[k] = ti.exp(-ripple_at(ripple, even[k]) - slow[k])
         for k in range(count):
             color = even[k] * color_at(light, y, first + k) * factors
             for i in ti.static(range(3)):

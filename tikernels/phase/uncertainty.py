@@ -40,8 +40,10 @@ from tikernels.lanes import (
 )
 from tikernels.launching import kernel
 from tikernels.phase.balance_window import SIGMA_ACROSS
-from tikernels.phase.model_variance import LEAST_PRECISION, ContrastDoubt, model_variance
-from tikernels.phase.smoothing import left_of_differences, left_of_variance
+from tikernels.phase.frame_statistics import MEDIAN_SIZE
+from tikernels.phase.model_variance import model_variance
+from tikernels.phase.phase_vector import TINY
+from tikernels.phase.smoothing import THIRD_DIFFERENCE, left_of_differences, left_of_variance
 from tikernels.phase.wide_blur import wide_blur
 
 # The error of the channels' model is this share of a pixel's variance: it is fitted to some fifty samples for three
@@ -52,20 +54,14 @@ OWN_ERROR = 0.03
 _EDGE_ERROR = 0.025
 # The standard deviation of a phase of which nothing is known but the cycle, rad: no more can be unsure.
 _UNKNOWN = np.pi / np.sqrt(3)
-# Rows differ by less than the noise where it was overrated, but not by less than half of it.
-_LEAST_SCATTER = 0.5
 # About 30,000 pixels tell how far rows scatter, to less than a per cent.
 _SCATTER_SAMPLES = 30_000
-# So do those that are this sure beside the surest: of dark ones less is known.
-_TELLING = 0.1
-# Median of a normal distribution's absolute values, in standard deviations.
-_MEDIAN_SIZE = 0.6745
 
 
 @ti.func
 def smoothed_noise(precision: f32, smoothed: f32, independent: f32) -> f32:
     """Return a pixel's variance by noise after smoothing, rad^2."""
-    return independent * smoothed + OWN_ERROR / ti.max(precision, LEAST_PRECISION)
+    return independent * smoothed + OWN_ERROR / ti.max(precision, TINY)
 
 
 @kernel
@@ -85,8 +81,8 @@ def compare_rows_kernel(
     for sample in range(rows * columns):
         y, x = sample // columns, sample % columns * every
         difference, noise, wrong, holds = 0.0, 0.0, 0.0, True
-        for k in ti.static(range(4)):
-            weight, row = ti.static((1.0, -3.0, 3.0, -1.0)[k]), y + k * step
+        for k in ti.static(range(len(THIRD_DIFFERENCE))):
+            weight, row = ti.static(float(THIRD_DIFFERENCE[k])), y + k * step
             holds &= mask[row, x] != 0
             difference += weight * phase[row, x]
             noise += weight * weight * smoothed_noise(precision[row, x], smoothed[row, x], independent)
@@ -235,7 +231,6 @@ def estimate_phase_sigma(
     precision: F32,
     smoothed: F32,
     misfit: F32 | None,
-    contrast: ContrastDoubt,
     mask: Mask,
     edges: npt.NDArray[np.float32] | None,
     pairs: int,
@@ -253,8 +248,6 @@ def estimate_phase_sigma(
         rad^2, the variance that noise leaves after smoothing; see `Smoother`.
     misfit : (H, W) float32, optional
         What it says of the model, see `FittedPhase`; None: the model is right.
-    contrast : ContrastDoubt
-        How uneven a contrast the fit has allowed for, and what is usual.
     mask : (H, W) bool or uint8
         Valid pixels.
     edges : (H, W) float32, optional
@@ -279,7 +272,7 @@ def estimate_phase_sigma(
     if misfit is None:
         model = runtime.to_device(np.zeros(inside.shape, np.float32))
     else:
-        model = model_variance(precision, misfit, mask, contrast, period_px)
+        model = model_variance(precision, misfit, mask, period_px)
     if edges is not None:
         model = runtime.to_device(runtime.to_host(model) + edges)  # synchronises
     known = (precision, model, smoothed, mask)
@@ -295,15 +288,12 @@ def _scatter(
     step, every = max(2, round(period_px / 3)), max(1, height * width // _SCATTER_SAMPLES)
     if height <= 3 * step:
         return 1.0
-    independent = left_of_differences(pairs, step) / (20 * left_of_variance(pairs))
+    squares = sum(weight**2 for weight in THIRD_DIFFERENCE)
+    independent = left_of_differences(pairs, step) / left_of_variance(pairs) / squares
     compared = compare_rows(unwrapped, precision, model, smoothed, mask, independent, step, every)
     ratio = runtime.to_host(compared)  # synchronises
-    sure = runtime.to_host(precision)[: len(ratio), ::every]
     known = np.isfinite(ratio)
-    if not known.any():
-        return 1.0
-    ratio = ratio[known & (sure >= _TELLING * np.percentile(sure[known], 90))]
-    return max(_LEAST_SCATTER, float(np.median(ratio)) / _MEDIAN_SIZE)
+    return float(np.median(ratio[known])) / MEDIAN_SIZE if known.any() else 1.0
 
 
 def _empty_share(inside: npt.NDArray[np.uint8], period_px: float) -> npt.NDArray[np.float32]:

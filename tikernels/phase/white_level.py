@@ -11,10 +11,8 @@ import numpy.typing as npt
 
 from tikernels.phase.channel_template import HARMONICS, channel_harmonics
 from tikernels.phase.crosstalk import Crosstalk
+from tikernels.phase.equalization import BINS
 from tikernels.phase.phase_vector import channel_delays
-
-# Places of a cycle where the peak is looked for: four harmonics change by less than 0.001 from one to the next.
-_PHASES = 256
 
 
 def primary_cycles(template: npt.NDArray[np.float32], crosstalk: Crosstalk) -> npt.NDArray[np.float64]:
@@ -30,7 +28,7 @@ def primary_cycles(template: npt.NDArray[np.float32], crosstalk: Crosstalk) -> n
     n = np.arange(1, HARMONICS + 1)
     harmonics = crosstalk.inverse.astype(np.float64) @ channel_harmonics(template)
     harmonics *= np.exp(-1j * n * channel_delays(crosstalk.lag)[:, None])
-    psi = 2 * np.pi * np.arange(_PHASES) / _PHASES
+    psi = 2 * np.pi * np.arange(BINS) / BINS  # four harmonics change by less than 0.001 from one to the next
     return np.asarray(1 + (harmonics @ np.exp(1j * np.outer(n, psi))).real)
 
 

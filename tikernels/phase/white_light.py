@@ -35,7 +35,7 @@ from tikernels.phase.brightness_ripple import within_cycle
 from tikernels.phase.channel_template import load_harmonics, sharpened_cycle_and_slope
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.phase_fit import load_nodes, pixel_model
-from tikernels.phase.phase_vector import color_at
+from tikernels.phase.phase_vector import TINY, color_at
 from tikernels.phase.white_level import white_level
 from tikernels.phase.wide_blur import wide_blur
 from tikernels.raw.linearization import LEVEL_TYPES
@@ -47,8 +47,6 @@ from tikernels.strips import STRIP, color_of, set_color, strip_at, strip_count
 _CONTRAST_ACROSS, _CONTRAST_ALONG = 0.25, 0.4
 # Contrasts beyond are no pattern's: a code's differ by a sixth from their mean.
 _MOST_CONTRAST = 0.3
-# Pixels without a clipped channel that tell a window's brightness, as a part of it.
-_KNOWN = 0.05
 # kappa has all that A and B took over in it, and ambient light; beyond these it is of no fringe.
 _LOWEST, _HIGHEST = 0.5, 1.5
 
@@ -84,15 +82,8 @@ def solved(light: vec3, model: vec3, change: vec3, swing: vec3):
     """Return s and s k of the module."""
     across = swing.cross(change)
     determinant = model.dot(across)
-    reciprocal = ti.select(ti.abs(determinant) > 1e-12, 1.0 / determinant, 0.0)
+    reciprocal = ti.select(ti.abs(determinant) > TINY, 1.0 / determinant, 0.0)
     return light.dot(across) * reciprocal, light.dot(change.cross(model)) * reciprocal
-
-
-@ti.func
-def logarithm_near_one(value: f32) -> f32:
-    """Return the logarithm of a number from 0.5 to 1.5; error 2e-4. A call of the C library costs ten times as much."""
-    x = (value - 1.0) / (value + 1.0)
-    return 2.0 * x * (1.0 + x * x * (1 / 3 + x * x / 5))
 
 
 @cache
@@ -183,7 +174,7 @@ def _light_by_white_kernel(mixed: bool, spacing_px: int) -> Any:
                 if mask[y, start + k] != 0:
                     angle[k], counts[k] = within_cycle(phase[y, start + k]), 1.0
                     around[k], known[k] = means[y, start + k, 1], means[y, start + k, 2]
-                    deviation[k] = means[y, start + k, 0] / ti.max(around[k], 1e-12)
+                    deviation[k] = means[y, start + k, 0] / ti.max(around[k], TINY)
             for k in range(STRIP):
                 seen, color, ambient = color_of(light, k), color_of(colors, k), color_of(ambients, k)
                 cycle, slope = sharpened_cycle_and_slope(harmonics, angle[k], color_of(sharper, k))
@@ -196,19 +187,17 @@ def _light_by_white_kernel(mixed: bool, spacing_px: int) -> Any:
                 )
                 more = ti.max(ti.min(deviation[k], _MOST_CONTRAST), -_MOST_CONTRAST)
                 brightness, _ = solved(seen - rest, model, change, swing)
-                product, square = 0.0, 1e-12
+                product, square = 0.0, TINY
                 for i in ti.static(range(3)):
                     expected = ti.select(seen[i] < clipped, model[i] + more * swing[i], 0.0)
                     product += expected * (seen[i] - rest[i])
                     square += expected * expected
-                by_others = ti.select(
-                    known[k] > _KNOWN, ti.sqrt(around[k] / ti.max(known[k], _KNOWN)), product / square
-                )
+                by_others = ti.select(known[k] > TINY, ti.sqrt(around[k] / ti.max(known[k], TINY)), product / square)
                 brightness = ti.max(ti.select(seen.max() < clipped, brightness, by_others), 0.0)
                 # What of white is no fringe, in units of s: the mean of B over A.
-                besides_fringe = (rest / ti.max(at_white, 1e-12)).sum() * level.sum() / 9.0
-                kappa = brightness * (1.0 + more) / ti.max(brightness + besides_fringe, 1e-6)
-                deviation[k] = logarithm_near_one(ti.max(ti.min(kappa, _HIGHEST), _LOWEST))
+                besides_fringe = (rest / ti.max(at_white, TINY)).sum() * level.sum() / 9.0
+                kappa = brightness * (1.0 + more) / ti.max(brightness + besides_fringe, TINY)
+                deviation[k] = ti.log(ti.max(ti.min(kappa, _HIGHEST), _LOWEST))
                 shown = counts[k] * (brightness * (at_white + more * white_swing) + rest)
                 set_color(light, k, ti.max(shown, 0.0))
             for k in range(first, stop):

@@ -42,23 +42,6 @@ def test_nodes_have_the_paints_colours(arch):
     assert np.mean(labels == np.array(order)[numbers[::2, 4::8]]) > 0.9
 
 
-@pytest.mark.parametrize(("size", "spacing_px"), [((121, 163), 2), ((96, 128), 2), ((121, 163), 4)])
-def test_of_nodes_close_together_some_are_looked_at(cpu, size, spacing_px):
-    """They cover the picture as all of them do."""
-    image, _, _ = board(["orange", "blue"], size, gamma=1.0)
-    crosstalk, gains = Crosstalk.of(MATRIX), Gains(*size, 2.3 * spacing_px)
-    assert gains.spacing_px == spacing_px
-    gains.measure(image, crosstalk, LEVELS)
-    model = ChannelModel(gains)
-    model.recover(crosstalk, LEVELS)
-    look = FirstLook(image, model, crosstalk, LEVELS, FLAT)
-    assert look.spacing_px == 8
-    assert look.lit.shape == tuple(-(-n // 8) for n in size)
-    places = look.lattice.contrast.shape
-    assert places == tuple(-(-n // spacing_px) for n in size) or look.lattice.rows < spacing_px
-    assert look.labels(look.common_colors()).shape == look.around.shape == places
-
-
 @pytest.mark.parametrize("gamma", [1.0, 2.0])
 def test_ambient_light_is_what_the_modulation_does_not_follow(cpu, gamma):
     """Where the projector's light falls off, the fringe fades and the ambient light stays."""
@@ -120,8 +103,8 @@ def test_clipped_places_say_nothing(cpu):
 
 
 def test_some_samples_come_from_all_columns(cpu):
-    image, _, _ = board(["white"], (120, 160), noise=0.0)
-    image[:, 80:] *= 0.5
-    some = look_at(image).some_samples(300)
-    assert 200 < len(some) < 500
+    image, _, _ = board(["white"], (480, 640), noise=0.0)
+    image[:, 320:] *= 0.5
+    some = look_at(image).some_samples()
+    assert 2000 < len(some) < 4000
     assert 0.35 < np.mean(some.max(axis=1) < 0.5 * some.max()) < 0.75

@@ -93,7 +93,7 @@ def test_a_frame_without_a_word_gets_the_response_with_the_usual_blur():
     prior = ResponsePrior(gamma(2.0), None)
     measured = measure_correction(np.zeros((36, 256)), 9)
     blur, _ = prior.fit(measured, 12.0)
-    assert blur == pytest.approx(2 * (np.pi * 0.7 / 12) ** 2, abs=0.01)
+    assert blur == pytest.approx(2 * (np.pi / 12) ** 2, abs=0.01)
     table = measured.table(prior.corrected(measured, blur))
     np.testing.assert_allclose(table, response_table(blurred(light_spectrum(gamma(2.0)), blur)), atol=1e-3)
 

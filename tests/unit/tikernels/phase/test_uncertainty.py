@@ -13,14 +13,13 @@ from tikernels.phase.color_balance import Gains
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.equalization import correction_table
 from tikernels.phase.frame_statistics import FrameLevels
-from tikernels.phase.model_variance import ContrastDoubt
 from tikernels.phase.phase_fit import fit_phase
 from tikernels.phase.smoothing import _window, left_of_variance
 from tikernels.phase.surfaces import Surfaces
 from tikernels.phase.uncertainty import compare_rows, estimate_phase_sigma, phase_sigma
 
 SHAPE = (41, 67)
-EVEN, DOUBT = ContrastDoubt(0.0, 0.0), ContrastDoubt(0.02, 0.01)
+DOUBT = 0.02
 
 
 def case(seed=1):
@@ -78,7 +77,7 @@ def test_the_estimate_is_what_rows_really_differ_by(arch, overrated):
     precision = np.full((height, width), overrated**2 / 0.05**2, np.float32)
     variance = left_of_variance(pairs) / precision
     variance[105, 49] = 1 / precision[105, 49]
-    sigma = runtime.to_host(estimate_phase_sigma(phase, precision, variance, None, EVEN, mask, None, pairs, period_px))
+    sigma = runtime.to_host(estimate_phase_sigma(phase, precision, variance, None, mask, None, pairs, period_px))
     assert np.isnan(sigma[~mask]).all() and np.isfinite(sigma[mask]).all()
     assert np.median(sigma[mask]) == pytest.approx(smoothed.std(), rel=0.05)
     # Beside the hole nothing was smoothed, and part of the model's window is empty.
@@ -91,9 +90,7 @@ def flat(misfit: np.ndarray, edges: np.ndarray | None = None) -> np.ndarray:
     noise = 0.02 * np.random.default_rng(6).standard_normal(phase.shape)
     phase, precision = (phase + noise).astype(np.float32), np.full(phase.shape, 1 / 0.02**2, np.float32)
     everywhere = np.ones(phase.shape, bool)
-    return runtime.to_host(
-        estimate_phase_sigma(phase, precision, 1 / precision, misfit, EVEN, everywhere, edges, 0, 12.0)
-    )
+    return runtime.to_host(estimate_phase_sigma(phase, precision, 1 / precision, misfit, everywhere, edges, 0, 12.0))
 
 
 def misfits_of_noise(shape: tuple[int, int] = (240, 320)) -> np.ndarray:
@@ -160,13 +157,13 @@ def test_another_colour_widens_its_own_part(cpu, mixed):
     model = ChannelModel(gains)
     gains.measure(image, crosstalk, levels)
     correction = correction_table(model.recover(crosstalk, levels), 9)
-    model.fit(crosstalk, correction, flat_template(), DOUBT.allowed)
-    found = fit_phase(image, model, crosstalk, levels, correction, DOUBT.allowed)
+    model.fit(crosstalk, correction, flat_template(), DOUBT)
+    found = fit_phase(image, model, crosstalk, levels, correction, DOUBT)
     difference = reference.wrapped_difference(runtime.to_host(found.phase), truth)
     unwrapped = (truth + difference).astype(np.float32)
     everywhere = np.ones(shape, bool)
     seen = (found.precision, 1 / runtime.to_host(found.precision), found.misfit)
-    sigma = runtime.to_host(estimate_phase_sigma(unwrapped, *seen, DOUBT, everywhere, None, 0, 12.3))
+    sigma = runtime.to_host(estimate_phase_sigma(unwrapped, *seen, everywhere, None, 0, 12.3))
     left, right = (difference[40:200, part] for part in (slice(30, 150), slice(260, 310)))
     said = [np.sqrt((sigma[40:200, part] ** 2).mean()) for part in (slice(30, 150), slice(260, 310))]
     assert 0.7 < said[0] / (left - left.mean()).std() < 2
