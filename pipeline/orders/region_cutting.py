@@ -147,11 +147,20 @@ def _shown(
     evidence = weigh_offsets(
         shares, blocks.order[own], level - usual, sigma, columns, code, offsets, patches, _MAX_DEVIATION
     )
-    bright = np.bincount(shares[1], shares[2] * np.log(blocks.brightness[own])[shares[0]], patches)
+    bright = np.log(blocks.brightness[own])[shares[0]]
     # Under the code of cycles all blocks of a cycle show the same.
     most_columns = np.inf if reader.code.cell_px is not None else OF_CYCLE / (_COUNTS * BLOCKS)
-    number, rule = best - offsets.start, {"common": _OFF_ALIKE**2, "least": _LEAST, "most_columns": most_columns}
-    found = find_other_offsets(evidence, cells, bright, number, _WINDOWS, **rule)
+    number = best - offsets.start
+    found = find_other_offsets(
+        evidence,
+        cells,
+        np.asarray(np.bincount(shares[1], shares[2] * bright, patches), np.float64),
+        number,
+        _WINDOWS,
+        most_columns=most_columns,
+        common=_OFF_ALIKE**2,
+        least=_LEAST,
+    )
     return _Shown(evidence, number, *found)
 
 

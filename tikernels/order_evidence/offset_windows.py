@@ -8,6 +8,7 @@ or a piece may be off alike, as those of another paint are; apart from that, the
 which of them it shows.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import cv2
@@ -143,7 +144,7 @@ class Cells(NamedTuple):
 class _Found(NamedTuple):
     """Windows or pieces: their cells, the offset that they show, and by how much it is better than the region's."""
 
-    cells: list[tuple[slice, slice] | npt.NDArray[np.bool_]]
+    cells: Sequence[tuple[slice, slice] | npt.NDArray[np.bool_]]
     offset: npt.NDArray[np.integer]
     gain: npt.NDArray[np.floating]
 
@@ -191,7 +192,7 @@ def find_other_offsets(
     """
     scanned = _scan(evidence, cells, own, windows, most_columns, common, least)
     pieces = _pieces(evidence, cells, brightness, own, most_columns, common, least)
-    places, gain = scanned.cells + pieces.cells, np.append(scanned.gain, pieces.gain)
+    places, gain = [*scanned.cells, *pieces.cells], np.append(scanned.gain, pieces.gain)
     taken = np.full((cells.rows, cells.columns), -1, np.int64)
     chosen: list[int] = []
     for k in np.argsort(-gain, kind="stable"):
@@ -252,7 +253,8 @@ def _pieces(
     seen = weight > 0
     bright = np.full(count, np.nan, np.float32)
     bright[seen] = np.bincount(cell, brightness, count)[seen] / weight[seen]
-    levels = np.linspace(*np.quantile(bright[seen], _FROM_TO), _LEVELS + 2)[1:-1, None]
+    darkest, brightest = np.quantile(bright[seen], _FROM_TO)
+    levels = np.linspace(darkest, brightest, _LEVELS + 2)[1:-1, None]
     found = [
         cv2.connectedComponentsWithStats(held.reshape(shape).astype(np.uint8), connectivity=4)
         for held in np.concatenate([bright > levels, bright < levels])
