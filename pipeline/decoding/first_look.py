@@ -21,8 +21,8 @@ from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.surface_colors import color_ratios, common_colors, nearest_colors
 from tikernels.phase.surface_labels import LEAST_PX
-from tikernels.phase.surface_matrix import SurfaceSamples
 from tikernels.phase.surface_misfits import REACH_PX, Lattice, average_light
+from tikernels.phase.surface_samples import SurfaceSamples
 from tikernels.phase.surfaces import NO_SURFACE
 from tikernels.phase.wrapped_phase import LEAST_NO_PHASE
 
@@ -246,9 +246,9 @@ class FirstLook:
 
     def surface_samples(
         self,
-        light: FloatArray,
-        around: FloatArray,
-        contrast: FloatArray,
+        light: npt.NDArray[np.floating],
+        around: npt.NDArray[np.floating],
+        contrast: npt.NDArray[np.floating],
         weights: FloatArray,
         ambient: FloatArray,
         share: FloatArray,
@@ -267,12 +267,13 @@ class FirstLook:
         ambient : (n, 3)
             Its ambient light, levels.
         """
-        vector = weights @ (light - ambient[..., None])
+        channels, mean, sharp = (np.asarray(part, np.float32, order="C") for part in (light, around, contrast))
+        vector = weights.astype(np.float32) @ (channels - ambient[..., None].astype(np.float32))
         bare = np.arctan2(vector[:, 1], vector[:, 0])
-        noise = self.levels.read_noise**2 + self.levels.noise_gain * np.maximum(light, 0)
-        least = _LEAST_NOISE * np.maximum(light, _DARK * self.levels.white)
-        phase, around = bare + self._correction_at(bare), np.maximum(around, 1e-9)
-        return SurfaceSamples(light, noise + least**2, phase, around, contrast, share, contrast_doubt)
+        noise = self.levels.read_noise**2 + self.levels.noise_gain * np.maximum(channels, 0)
+        noise += (_LEAST_NOISE * np.maximum(channels, _DARK * self.levels.white)) ** 2
+        phase = np.asarray(bare + self._correction_at(bare), np.float32)
+        return SurfaceSamples(channels, noise, phase, np.maximum(mean, 1e-9), sharp, share, contrast_doubt)
 
 
 def _smoothed_across(sums: npt.NDArray[np.floating], sigma: float) -> npt.NDArray[np.floating]:

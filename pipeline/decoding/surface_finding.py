@@ -139,13 +139,13 @@ class SurfaceFinder:
         color = light.mean(axis=0)
         ambient = np.minimum(look.ambient * 3 * color / color.sum(), 0.5 * color)
         weights = phase_weights(np.asarray(np.linalg.inv(known.matrix), np.float64), known.lag) / color
-        even = np.ones((1, len(light)))
-        samples = look.surface_samples(
-            light.T[None], even, even, weights[None], ambient[None], np.ones(1), self._contrast_doubt
-        )
-
+        # The same places by two matrices.
         seen, white = (color - ambient)[None], known.matrix * known.white[:, None]
         matrices = np.concatenate([predict_matrices(seen, white, bands) for bands in (BROAD, known.bands)])
+        light, even, ambient, weights = (
+            np.stack([part, part]) for part in (light.T, np.ones(len(light)), ambient, weights)
+        )
+        samples = look.surface_samples(light, even, even, weights, ambient, np.ones(2), self._contrast_doubt)
         left_over = np.abs(residuals(samples, matrices, ambient, known.light))
         after, otherwise = np.median(left_over, axis=1)
         return bool(after < _NOISE and after < _BY_FAR * otherwise)

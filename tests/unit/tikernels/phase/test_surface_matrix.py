@@ -12,13 +12,15 @@ from tikernels.phase.surface_matrix import (
     NARROW,
     LightDoubt,
     PredictedMatrices,
-    SurfaceSamples,
     band_weights,
     fit_matrices,
     predict_matrices,
     residuals,
     waves,
 )
+from tikernels.phase.surface_samples import SurfaceSamples
+
+pytestmark = pytest.mark.usefixtures("cpu")
 
 DOUBT = LightDoubt(leak=0.004, contrast=0.2, harmonic=0.0005)
 COLORED = ("orange", "blue", "skin")
@@ -48,7 +50,8 @@ def pixels(
     begin = (phase + off * rng.standard_normal(count))[which]
     shape, share = (len(paints), count), np.full(len(paints), different / count)
     variance, around = np.full(seen.shape, noise**2), np.full(shape, 100.0)
-    return SurfaceSamples(seen, variance, np.tile(begin, (len(paints), 1)), around, np.ones(shape), share, 0.0)
+    places = (seen, variance, np.tile(begin, (len(paints), 1)), around, np.ones(shape))
+    return SurfaceSamples(*(np.ascontiguousarray(part, np.float32) for part in places), share, 0.0)
 
 
 @pytest.mark.parametrize(("bands", "broad"), [(BROAD, 1.0), (NARROW, 0.0), (BETWEEN, 0.15)])
@@ -83,21 +86,13 @@ def test_waves_are_the_light_and_its_slope():
     np.testing.assert_allclose(slope, step, atol=1e-6)
 
 
-def test_blur_takes_more_of_higher_harmonics():
-    """The nth by the power of n^2; a fit that knows it finds what there is."""
-    phase, contrast = np.linspace(-3, 3, 40), np.full(40, 0.9)
-    expected = 1 + sum((0.9**n**2 * LIGHT[:, n - 1, None] * np.exp(1j * n * phase)).real for n in range(1, 5))
-    value, slope = waves(LIGHT, phase, contrast)
-    np.testing.assert_allclose(value, expected, atol=1e-9)
-    step = (waves(LIGHT, phase + 1e-5, contrast)[0] - waves(LIGHT, phase - 1e-5, contrast)[0]) / 2e-5
-    np.testing.assert_allclose(slope, step, atol=1e-6)
-
-
 def fitted(samples: SurfaceSamples, light_off: float = 1.0, bands: np.ndarray = BETWEEN, colors=None, **more):
     colors = samples.light.mean(axis=2) - 6 if colors is None else colors
     prediction = PredictedMatrices.of(colors, MATRIX, bands)
     ambient = np.full((len(samples.light), 3), 5.0)
-    return fit_matrices(samples, prediction, ambient, ambient, LIGHT * light_off, DOUBT, **({"fit_light": True} | more))
+    return fit_matrices(
+        samples, prediction, ambient, ambient, LIGHT * light_off, DOUBT, **({"fit_light": True, "steps": 4} | more)
+    )
 
 
 def test_pixels_tell_the_matrix_better_than_the_colour_does():
@@ -159,7 +154,7 @@ def test_surfaces_are_fitted_together():
         colors = np.array([expected.sum(axis=1), *(samples.light[1:].mean(axis=2) - 6)])
         return float(np.abs(fitted(samples, colors=colors).matrices[0] - expected).max())
 
-    assert off(replace(clear, **both)) < 0.85 * off(small)
+    assert off(replace(clear, **both)) < 0.9 * off(small)
 
 
 def test_a_fit_goes_on_where_the_last_one_ended():
@@ -204,8 +199,8 @@ def test_a_part_of_the_surfaces():
 
 
 def test_residuals_are_noise_where_the_matrix_is_right():
-    samples = pixels("orange")
+    samples = pixels("orange", "orange")
     right, wrong = surface_matrix(PAINTS["orange"]), surface_matrix(PAINTS["orange"], 1.0)
-    left = residuals(samples, np.stack([normalized(right), normalized(wrong)]), np.full(3, 6.0), LIGHT)
+    left = residuals(samples, np.stack([normalized(right), normalized(wrong)]), np.full((2, 3), 6.0), LIGHT)
     assert 0.9 < left[0].std() < 1.1
     assert left[1].std() > 2
