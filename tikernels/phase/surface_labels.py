@@ -113,18 +113,19 @@ def relabel(
             kept = others
         elif rivals and means[k, rivals].min() - means[k, k] < gains[k]:
             kept = others
+    nearest = np.asarray(kept)[averages[kept].argmin(axis=0)]
     while True:
-        nearest = averages[kept].argmin(axis=0)
-        sizes = np.bincount(nearest[said], minlength=len(kept))
-        worth = np.minimum(
-            sizes * (lattice.pixels / LEAST_PX), _insides(said, nearest, len(kept)) / (_LINE * sizes + 1e-9)
-        )
+        sizes = np.bincount(nearest[said], minlength=len(misfits))[kept]
+        inside = _insides(said, nearest, len(misfits))[kept]
+        worth = np.minimum(sizes * (lattice.pixels / LEAST_PX), inside / (_LINE * sizes + 1e-9))
         if len(kept) == 1 or worth.min() >= 1:
             break
-        kept.pop(int(worth.argmin()))
-    labels = np.where(shown, nearest, NO_SURFACE).astype(np.uint8)
-    least = np.take_along_axis(averages[kept], nearest[None], 0)[0]
-    own_misfit = np.take_along_axis(misfits[kept], nearest[None], 0)[0]
+        left = nearest == kept.pop(int(worth.argmin()))
+        nearest[left] = np.asarray(kept)[averages[:, left][kept].argmin(axis=0)]
+    numbers = np.zeros(len(misfits), np.uint8)
+    numbers[kept] = np.arange(len(kept))
+    labels = np.where(shown, numbers[nearest], NO_SURFACE).astype(np.uint8)
+    least, own_misfit = (np.take_along_axis(values, nearest[None], 0)[0] for values in (averages, misfits))
     unexplained = _opened(said & (least > _UNEXPLAINED), lattice.square(_OPENING_PX))
     wide = lattice.square(_OPENING_CYCLES * lattice.period_px)
     unexplained |= _opened(_unusual_neighbourhoods(lattice, own_misfit, said), wide)

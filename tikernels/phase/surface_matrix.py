@@ -348,12 +348,6 @@ def _constant_slope(
     return np.asarray(_columns(matrices, p, weight * across, brightness, turns, known_light).mean(axis=2))
 
 
-def residuals(samples: SurfaceSamples, matrices: _Array, ambient: _Array, light: _Complexes) -> _Array:
-    """Return z of the places of n surfaces, (n, S), in standard deviations, by n matrices, (n, 3, 3)."""
-    found = compare_samples(samples, matrices, ambient, light, samples.phase)
-    return np.asarray(found.residual / np.sqrt(found.variance))[:, 0]
-
-
 def _columns(
     matrices: _Array, p: _Floats, direction: _Floats, brightness: _Floats, turns: _Floats, known_light: _Complexes
 ) -> _Floats:

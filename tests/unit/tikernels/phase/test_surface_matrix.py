@@ -15,7 +15,6 @@ from tikernels.phase.surface_matrix import (
     band_weights,
     fit_matrices,
     predict_matrices,
-    residuals,
     waves,
 )
 from tikernels.phase.surface_samples import SurfaceSamples
@@ -196,11 +195,3 @@ def test_a_part_of_the_surfaces():
     np.testing.assert_array_equal(part.matrices, result.matrices[[2, 0]])
     np.testing.assert_array_equal(part.constant_sigma, result.constant_sigma[[2, 0]])
     assert part.light is result.light
-
-
-def test_residuals_are_noise_where_the_matrix_is_right():
-    samples = pixels("orange", "orange")
-    right, wrong = surface_matrix(PAINTS["orange"]), surface_matrix(PAINTS["orange"], 1.0)
-    left = residuals(samples, np.stack([normalized(right), normalized(wrong)]), np.full((2, 3), 6.0), LIGHT)
-    assert 0.9 < left[0].std() < 1.1
-    assert left[1].std() > 2
