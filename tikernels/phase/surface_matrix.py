@@ -152,7 +152,8 @@ class FittedMatrices:
     misfit: _Array
     """(n,) what is left across the model beyond the noise, as a fraction of the surface's light."""
     constant_sigma: _Array
-    """(n,) standard deviation of the constant that the matrix gives the surface's phase, rad."""
+    """(n,) standard deviation of the constant that the matrix gives the surface's phase, rad; NaN if the light was
+    fitted, too."""
     mismatch: _Array
     """(n,) by how much the channels' fundamentals differ from those predicted, as a fraction; what all three have in
     common is left out."""
@@ -279,9 +280,11 @@ def fit_matrices(
         now = by_share @ shared[:common]
         own[:, :9] = np.clip(own[:, :9] + now, _LEAST, _MOST) - now
     matrices, besides, fitted_light = _unpacked(*model, own, shared)
-    slope = _constant_slope(samples, matrices, besides, fitted_light, light)
-    slope[:, :9] *= predicted.reshape(count, 9)
-    constant = np.sqrt(arrow.variance(slope[:, :_COLUMNS], (slope[:, None] @ by_shared)[:, 0]))
+    constant = np.full(count, np.nan)
+    if not fit_light:
+        slope = _constant_slope(samples, matrices, besides, fitted_light, light)
+        slope[:, :9] *= predicted.reshape(count, 9)
+        constant = np.sqrt(arrow.variance(slope[:, :_COLUMNS], (slope[:, None] @ by_shared)[:, 0]))
     mismatch = _mismatch(matrices, predicted, light[:, 0])
     matrices = 3 * matrices / matrices.sum(axis=(1, 2), keepdims=True)
     return FittedMatrices(

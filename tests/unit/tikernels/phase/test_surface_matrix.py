@@ -96,7 +96,8 @@ def fitted(samples: SurfaceSamples, light_off: float = 1.0, bands: np.ndarray = 
 
 def test_pixels_tell_the_matrix_better_than_the_colour_does():
     """By the phase that pixels would get: its constant and its ripple, both within 0.01 rad, as is said of them."""
-    result = fitted(pixels(*COLORED))
+    samples = pixels(*COLORED)
+    result = fitted(samples, before=fitted(samples), fit_light=False)
     for paint, matrix, ambient, sigma in zip(
         COLORED, result.matrices, result.ambient, result.constant_sigma, strict=True
     ):
