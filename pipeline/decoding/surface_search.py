@@ -44,13 +44,6 @@ _TURNS, _NEW = 3, 5
 _MORE_STEPS = 2
 # The largest number of surfaces.
 _MOST = 16
-# A surface whose pixels are off its model by more than this fraction does not fit them, unless the frame began with it.
-_UNFIT = 0.02
-# By how much better than any other a surface must explain its places, in variances; and if it does not fit them.
-_BETTER, _MUCH_BETTER = 0.3, 1.0
-# Under a code surfaces whose colours differ by less (natural logarithm) are one paint: its contrasts look like another
-# one's a little, as far as the light is not known.
-_ALIKE = 0.1
 # If the largest surface is off by more than this, the search has failed. Demosaicking and JPEG make up to 0.03, where
 # phases without surfaces are off up to four times as much; a calibration of another rig makes 0.05 and more.
 _CONTRADICTED = 0.04
@@ -168,8 +161,8 @@ class SurfaceSearch:
         self._ambient: FloatArray | None = None  # (n, 3) levels
         self._fitted: FittedMatrices | None = None  # of the first of these surfaces
         self._bands = [known.bands, BROAD]  # where colours act; those that are still possible
-        # Which surfaces need not fit: those that the frame began with, and those that have not been fitted yet.
-        self._first = self._spared = np.ones(len(colors), bool)
+        # Which surfaces the frame began with.
+        self._first = np.ones(len(colors), bool)
         # Places where no new surface is looked for: those at an edge see two of them, and no matrix explains that; and
         # those where a new surface has been dropped. A first surface that is dropped may be a mixture of others, so its
         # place stays open.
@@ -181,7 +174,7 @@ class SurfaceSearch:
             fitted = self._fit()
             if fitted is None:
                 return None
-            new = self._relabel(fitted, self._neutral(fitted))
+            new = self._relabel(self._neutral(fitted))
             self._keep(new, fitted)
             if not self._add(new.unexplained & ~self._tried):
                 break
@@ -189,7 +182,7 @@ class SurfaceSearch:
 
     def follow(self, before: FoundSurfaces) -> FoundSurfaces | NoModelFits | None:
         """Look for the surfaces of a frame that begins with those of the one before: one turn, and the mean of both."""
-        new = self._relabel(before.fitted, self._neutral(before.fitted), afresh=True)
+        new = self._relabel(self._neutral(before.fitted), afresh=True)
         kept = self._keep(new, before.fitted)
         self._tried |= self._near_edges(_EDGE_PX)
         self._add(new.unexplained & ~self._tried)
@@ -200,7 +193,7 @@ class SurfaceSearch:
         if fitted is None:
             return None
         neutral = self._neutral(fitted)
-        new = self._relabel(fitted, neutral)
+        new = self._relabel(neutral)
         return self._found(new, self._keep(new, fitted), neutral.only(new.kept))
 
     def _found(self, new: Relabelled, fitted: FittedMatrices, neutral: NeutralLight) -> FoundSurfaces | NoModelFits:
@@ -296,21 +289,11 @@ class SurfaceSearch:
     def _neutral(self, fitted: FittedMatrices) -> NeutralLight:
         return NeutralLight.of(fitted.matrices, fitted.ambient, fitted.light, self._known.lag)
 
-    def _relabel(self, fitted: FittedMatrices, neutral: NeutralLight, *, afresh: bool = False) -> Relabelled:
+    def _relabel(self, neutral: NeutralLight, *, afresh: bool = False) -> Relabelled:
         """Give every place to the surface that explains it best."""
         lattice, levels, doubt = self._lattice, self._look.levels, self._known.contrast_doubt
         misfits = surface_misfits(lattice, neutral, levels, doubt)
-        gains = np.where((fitted.misfit < _UNFIT) | self._spared, _BETTER, _MUCH_BETTER)
-        if doubt:
-            gains[self._alike(fitted)] = np.inf
-        return relabel(lattice, misfits, self._labels, gains, self._first, afresh=afresh)
-
-    def _alike(self, fitted: FittedMatrices) -> _Mask:
-        """Return which surfaces have nearly the colour of a larger one."""
-        ratios = color_ratios(fitted.matrices.sum(axis=2))
-        sizes = np.bincount(self._labels.ravel(), minlength=NO_SURFACE)[: len(ratios)]
-        apart = np.abs(ratios[:, None] - ratios).max(axis=2)
-        return np.asarray(((apart < _ALIKE) & (sizes > sizes[:, None])).any(axis=1))
+        return relabel(lattice, misfits, self._labels, self._first, afresh=afresh)
 
     def _keep(self, new: Relabelled, fitted: FittedMatrices) -> FittedMatrices:
         """Go on with what has proved to be a surface, and return that."""
@@ -319,7 +302,7 @@ class SurfaceSearch:
         self._fitted = kept = fitted.only(new.kept)
         self._labels, self._ambient = new.labels, kept.ambient
         self._colors = kept.matrices.sum(axis=2)
-        self._first = self._spared = self._first[new.kept]
+        self._first = self._first[new.kept]
         return kept
 
     def _add(self, unexplained: _Mask) -> bool:
@@ -345,7 +328,6 @@ class SurfaceSearch:
             self._labels[place] = number
         self._colors = np.concatenate([self._colors, np.maximum(light - ambient, 1e-6)])
         self._ambient = np.concatenate([self._ambient, ambient])
-        self._spared = np.concatenate([self._spared, np.ones(len(places), bool)])
         self._first = np.concatenate([self._first, np.zeros(len(places), bool)])
         return True
 
@@ -357,7 +339,7 @@ class SurfaceSearch:
         table[numbers], table[NO_SURFACE] = np.arange(len(numbers)), NO_SURFACE
         self._labels = table[self._labels]
         self._colors = self._colors[numbers]
-        self._spared, self._first = self._spared[numbers], self._first[numbers]
+        self._first = self._first[numbers]
         if self._ambient is not None:
             self._ambient = self._ambient[numbers]
         if self._fitted is not None:

@@ -47,6 +47,8 @@ _ALONE = np.ones(1)
 _NEIGHBOURHOOD_CYCLES, _MOST_AROUND = 0.85, 4.0
 # So far from an edge between two places pixels are asked, px.
 _EDGE_PX = 4
+# By how much better than any other a surface must explain its places, in variances.
+_BETTER = 0.3
 # A surface of fewer pixels is none.
 LEAST_PX = 400
 # Nor is one of which no more than this share is inside: a mixture of two along their edge.
@@ -75,7 +77,6 @@ def relabel(
     lattice: Lattice,
     misfits: _Misfits,
     before: _Labels,
-    gains: npt.NDArray[np.float64],
     founding: _Mask,
     *,
     afresh: bool = False,
@@ -90,8 +91,6 @@ def relabel(
         See `surface_misfits`.
     before : (h, w) uint8
         The surfaces that places are taken to show so far.
-    gains : (N,) float
-        By how much better than any other each must explain its places to be kept.
     founding : (N,) bool
         Which ones the frame began with: none that came later takes the place of one.
     afresh : bool
@@ -111,7 +110,7 @@ def relabel(
         rivals = [j for j in others if founding[j] or not founding[k]]
         if others and sizes[k] == 0:
             kept = others
-        elif rivals and means[k, rivals].min() - means[k, k] < gains[k]:
+        elif rivals and means[k, rivals].min() - means[k, k] < _BETTER:
             kept = others
     nearest = np.asarray(kept)[averages[kept].argmin(axis=0)]
     while True:

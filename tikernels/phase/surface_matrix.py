@@ -7,8 +7,8 @@ the reflectance there:
 
 rho_k the reflectance at three primaries, its logarithm linear between them. With the primaries alone (L_ijk = 1 for
 j = k) that is M diag(rho), with the filters alone diag(rho) M; real ones lie between. rho follows from the surface's
-mean colour, three numbers from three, and K is a prior for what its pixels say. The weights L are those of the rig, the
-same on all surfaces, which are therefore fitted together; what else is wrong with K grows with the range of log rho.
+mean colour, three numbers from three, and K is a prior for what its pixels say, which is wrong by more the larger the
+range of log rho is. The light is the same on all surfaces, which are therefore fitted together.
 Behind lasers K = M diag(rho) to 0.1 %; behind lamps and filters that overlap, up to a third of log rho is the filters'.
 Given K, each pixel has two unknowns, brightness and phase, and one number is left over,
 
@@ -56,9 +56,9 @@ def band_weights(wavelengths_nm: npt.ArrayLike) -> _Array:
 
 # Newton's steps that find the reflectances, how far one goes at the most, and by how much they keep together.
 _NEWTON, _NEWTON_STEP, _NEWTON_ENOUGH, _TOGETHER = 12, 0.7, 1e-4, 3e-4
-# Standard deviations: of the filters' share in L, the same on all surfaces; of an entry's logarithm, as a fraction of
-# the range of log rho; of the logarithm of a row's sum, since a surface of few cycles does not show its colour evenly.
-_SHARE, _SPREAD, _ROW = 0.12, 0.14, 0.1
+# Standard deviations: of an entry's logarithm, as a fraction of the range of log rho; of the logarithm of a row's sum,
+# since a surface of few cycles does not show its colour evenly.
+_SPREAD, _ROW = 0.14, 0.1
 # Of the ambient light: this fraction of what is expected, and this of the surface's light.
 _AMBIENT_FRACTION, _AMBIENT_SHARE = 0.3, 0.004
 # Of the logarithm of the common light's blur.
@@ -116,24 +116,15 @@ class PredictedMatrices:
 
     matrices: _Array
     """(n, 3, 3), the sum of each 3; see `predict_matrices`."""
-    by_share: _Array
-    """(n, 3, 3, 6) derivative of each entry's logarithm by the filters' share in L of each entry off the diagonal."""
     spread: _Array
     """(n,) largest less smallest log reflectance at the primaries."""
 
     @classmethod
     def of(cls, colors: npt.ArrayLike, matrix: npt.ArrayLike, weights: npt.ArrayLike) -> "PredictedMatrices":
         """Predict the matrices of surfaces of these colours; the parameters are those of `predict_matrices`."""
-        matrices, share = predict_matrices(colors, matrix, weights), np.asarray(weights, np.float64)
+        matrices = predict_matrices(colors, matrix, weights)
         log_rho = np.log(np.diagonal(matrices, axis1=1, axis2=2) / np.maximum(np.diag(np.asarray(matrix)), 1e-9))
-        row, column = np.nonzero(~np.eye(3, dtype=bool))
-        by_share = np.zeros((*matrices.shape, len(row)))
-        by_share[:, row, column, np.arange(len(row))] = log_rho[:, row] - log_rho[:, column]
-        # The colour stays what it is: the reflectances give way.
-        parts = matrices / matrices.sum(axis=2, keepdims=True)
-        more = np.einsum("nij,nije->nie", parts, by_share)
-        change = np.linalg.solve(np.einsum("nij,ijk->nik", parts, share) + _TOGETHER * np.eye(3), more)
-        return cls(matrices, by_share - np.einsum("ijk,nke->nije", share, change), np.ptp(log_rho, axis=1))
+        return cls(matrices, np.ptp(log_rho, axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,8 +136,7 @@ class FittedMatrices:
     ambient: _Array
     """(n, 3) levels."""
     shared: _Array
-    """(6 + harmonics,) by how much the filters' shares in L, and the light's harmonics as fractions, are not as
-    predicted, the same on all surfaces."""
+    """(harmonics,) by how much the light's harmonics are not as predicted, as fractions."""
     light: _Complexes
     """(3, harmonics) of the projector's light over its mean."""
     misfit: _Array
@@ -244,62 +234,44 @@ def fit_matrices(
         Of Newton.
     """
     count, harmonics, predicted = len(samples.light), light.shape[1], prediction.matrices
-    by_share = prediction.by_share.reshape(count, 9, -1)
-    common = by_share.shape[2]
     expected, prior = _prior_of_surfaces(samples, prediction, expected_ambient, ambient, doubt.leak)
-    own, shared = (
-        np.concatenate([np.zeros((count, 9)), ambient - expected_ambient], axis=1),
-        np.zeros(common + harmonics),
-    )
+    own, shared, usual = np.zeros((count, _COLUMNS)), np.zeros(harmonics), np.zeros(harmonics)
+    own[:, 9:] = ambient - expected_ambient
     if before is not None:
         known, shared = len(before.matrices), before.shared
         own[:known, :9] = np.clip(before.matrices / predicted[:known] - 1, _LEAST, _MOST).reshape(known, 9)
         own[:known, 9:] = before.ambient - expected_ambient[:known]
-    own[:, :9] -= by_share @ shared[:common]
-    usual, prior_shared = np.zeros(common + harmonics), np.zeros((common + harmonics,) * 2)
-    prior_shared[:common, :common] = np.eye(common) / _SHARE**2
     if not fit_light:
-        usual[common:] = shared[common:]
-    prior_shared[common:, common:] = _prior_of_light(light, doubt) if fit_light else 1e12 * np.eye(harmonics)
-    # How what z and the brightness change with, 12 + harmonics numbers, changes with what all surfaces share.
-    by_shared = np.zeros((count, _COLUMNS + harmonics, common + harmonics))
-    by_shared[:, :9, :common] = by_share
-    by_shared[:, _COLUMNS:, common:] = np.eye(harmonics)
-    model, phase = (predicted, by_share, expected_ambient, light), samples.phase
+        usual = shared
+    prior_shared = _prior_of_light(light, doubt) if fit_light else 1e12 * np.eye(harmonics)
+    phase = samples.phase
+
+    def unpacked() -> tuple[_Array, _Array, _Complexes]:
+        """Return the matrices, the ambient light and the projector's, given what is fitted of them."""
+        entries = own[:, :9].reshape(predicted.shape)
+        return predicted * (1 + entries), expected_ambient + own[:, 9:], light * (1 + shared)
+
     for _ in range(steps):
-        matrices, besides, fitted_light = _unpacked(*model, own, shared)
-        found = _equations(samples, matrices, predicted, besides, fitted_light, light, phase)
+        found = _equations(samples, *unpacked(), predicted, light, phase)
         phase, off, off_shared = found.phase, expected - own, usual - shared
-        arrow = _Arrow.of(found.gram, prior, prior_shared, by_shared)
+        arrow = _Arrow.of(found.gram, prior, prior_shared)
         pull, pull_shared = (prior @ off[..., None])[..., 0], prior_shared @ off_shared
-        right = found.right[:, :_COLUMNS] + pull
-        right_shared = (found.right[:, None] @ by_shared)[:, 0].sum(axis=0) + pull_shared
+        right, right_shared = found.right[:, :_COLUMNS] + pull, found.right[:, _COLUMNS:].sum(axis=0) + pull_shared
         change, change_shared = arrow.solve(right, right_shared)
         cost = found.cost + float((off * pull).sum() + off_shared @ pull_shared)
         own, shared = own + change, shared + change_shared
-        now = by_share @ shared[:common]
-        own[:, :9] = np.clip(own[:, :9] + now, _LEAST, _MOST) - now
-    matrices, besides, fitted_light = _unpacked(*model, own, shared)
+        own[:, :9] = np.clip(own[:, :9], _LEAST, _MOST)
+    matrices, besides, fitted_light = unpacked()
     constant = np.full(count, np.nan)
     if not fit_light:
         slope = _constant_slope(samples, matrices, besides, fitted_light, light)
         slope[:, :9] *= predicted.reshape(count, 9)
-        constant = np.sqrt(arrow.variance(slope[:, :_COLUMNS], (slope[:, None] @ by_shared)[:, 0]))
+        constant = np.sqrt(arrow.variance(slope))
     mismatch = _mismatch(matrices, predicted, light[:, 0])
     matrices = 3 * matrices / matrices.sum(axis=(1, 2), keepdims=True)
     return FittedMatrices(
         matrices, besides, shared, fitted_light, found.misfit, constant, mismatch, cost, np.ones(count)
     )
-
-
-def _unpacked(
-    predicted: _Array, by_share: _Array, expected_ambient: _Array, light: _Complexes, own: _Array, shared: _Array
-) -> tuple[_Array, _Array, _Complexes]:
-    """Return the matrices, the ambient light and the projector's, given what is fitted of them."""
-    common = by_share.shape[2]
-    entries = own[:, :9] + by_share @ shared[:common]
-    matrices = predicted * (1 + entries.reshape(-1, 3, 3))
-    return matrices, expected_ambient + own[:, 9:], light * (1 + shared[common:])
 
 
 class _Arrow(NamedTuple):
@@ -310,9 +282,9 @@ class _Arrow(NamedTuple):
     rest: _Array  # (shared, shared) the inverse of what the shared ones have once their own are solved
 
     @classmethod
-    def of(cls, gram: _Array, prior: _Array, prior_shared: _Array, by_shared: _Array) -> "_Arrow":
-        own, beside = np.linalg.inv(gram[:, :_COLUMNS, :_COLUMNS] + prior), gram[:, :_COLUMNS] @ by_shared
-        corner = by_shared.swapaxes(1, 2) @ gram @ by_shared - beside.swapaxes(1, 2) @ own @ beside
+    def of(cls, gram: _Array, prior: _Array, prior_shared: _Array) -> "_Arrow":
+        own, beside = np.linalg.inv(gram[:, :_COLUMNS, :_COLUMNS] + prior), gram[:, :_COLUMNS, _COLUMNS:]
+        corner = gram[:, _COLUMNS:, _COLUMNS:] - beside.swapaxes(1, 2) @ own @ beside
         return cls(np.asarray(own), beside, np.asarray(np.linalg.inv(prior_shared + corner.sum(axis=0))))
 
     def solve(self, right: _Array, right_shared: _Array) -> tuple[_Array, _Array]:
@@ -321,11 +293,11 @@ class _Arrow(NamedTuple):
         shared = self.rest @ (right_shared - (alone[:, None] @ self.beside).sum(axis=(0, 1)))
         return alone - ((self.beside @ shared)[:, None] @ self.own)[:, 0], shared
 
-    def variance(self, slope: _Array, slope_shared: _Array) -> _Array:
-        """Return that of what changes with the unknowns by these slopes, (n, 12) and (n, shared)."""
-        alone = (slope[:, None] @ self.own)[:, 0]
-        rest = slope_shared - (alone[:, None] @ self.beside)[:, 0]
-        return np.asarray((alone * slope).sum(axis=1) + (rest @ self.rest * rest).sum(axis=1))
+    def variance(self, slope: _Array) -> _Array:
+        """Return that of what changes with the unknowns by these slopes, (n, 12 + shared)."""
+        alone = (slope[:, None, :_COLUMNS] @ self.own)[:, 0]
+        rest = slope[:, _COLUMNS:] - (alone[:, None] @ self.beside)[:, 0]
+        return np.asarray((alone * slope[:, :_COLUMNS]).sum(axis=1) + (rest @ self.rest * rest).sum(axis=1))
 
 
 def _mismatch(matrices: _Array, predicted: _Array, fundamental: _Complexes) -> _Array:
@@ -421,9 +393,9 @@ class _Equations(NamedTuple):
 def _equations(
     samples: SurfaceSamples,
     matrices: _Array,
-    predicted: _Array,
     ambient: _Array,
     light: _Complexes,
+    predicted: _Array,
     known_light: _Complexes,
     phase: _Floats,
 ) -> _Equations:
