@@ -224,13 +224,6 @@ class FirstLook:
         between = cv2.resize(np.ascontiguousarray(values), size, interpolation=how)
         return np.ascontiguousarray(between[:height, :width])
 
-    def _correction_at(self, phase: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
-        """Return what to add to bare phases, rad; several times as fast as `np.interp`."""
-        places = (phase + np.pi) * ((len(self.correction) - 1) / (2 * np.pi))
-        bins = np.clip(places.astype(np.int32), 0, len(self.correction) - 2)
-        left = self.correction[bins]
-        return np.asarray(left + (places - bins) * (self.correction[bins + 1] - left))
-
     def surface_samples(
         self,
         light: npt.NDArray[np.floating],
@@ -259,8 +252,9 @@ class FirstLook:
         bare = np.arctan2(vector[:, 1], vector[:, 0])
         noise = self.levels.read_noise**2 + self.levels.noise_gain * np.maximum(channels, 0)
         noise += (_LEAST_NOISE * np.maximum(channels, _DARK * self.levels.white)) ** 2
-        phase = np.asarray(bare + self._correction_at(bare), np.float32)
-        return SurfaceSamples(channels, noise, phase, np.maximum(mean, 1e-9), sharp, share, contrast_doubt)
+        phase = bare + np.interp(bare, np.linspace(-np.pi, np.pi, len(self.correction)), self.correction)
+        found = (channels, noise, phase.astype(np.float32), np.maximum(mean, 1e-9), sharp)
+        return SurfaceSamples(*found, share, contrast_doubt)
 
 
 def _smoothed_across(sums: npt.NDArray[np.floating], sigma: float) -> npt.NDArray[np.floating]:

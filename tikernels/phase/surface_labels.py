@@ -51,8 +51,6 @@ _EDGE_PX = 4
 _BETTER = 0.3
 # A surface of fewer pixels is none.
 LEAST_PX = 400
-# Nor is one of which no more than this share is inside: a mixture of two along their edge.
-_LINE = 0.03
 # No surface explains a place with a larger misfit, or a neighbourhood with one larger than this, also in units of what
 # is usual in the frame.
 _UNEXPLAINED, _UNEXPLAINED_AROUND, _UNUSUAL = 3.0, 1.4, 1.6
@@ -115,11 +113,9 @@ def relabel(
     nearest = np.asarray(kept)[averages[kept].argmin(axis=0)]
     while True:
         sizes = np.bincount(nearest[said], minlength=len(misfits))[kept]
-        inside = _insides(said, nearest, len(misfits))[kept]
-        worth = np.minimum(sizes * (lattice.pixels / LEAST_PX), inside / (_LINE * sizes + 1e-9))
-        if len(kept) == 1 or worth.min() >= 1:
+        if len(kept) == 1 or sizes.min() >= LEAST_PX / lattice.pixels:
             break
-        left = nearest == kept.pop(int(worth.argmin()))
+        left = nearest == kept.pop(int(sizes.argmin()))
         nearest[left] = np.asarray(kept)[averages[:, left][kept].argmin(axis=0)]
     numbers = np.zeros(len(misfits), np.uint8)
     numbers[kept] = np.arange(len(kept))
@@ -129,13 +125,6 @@ def relabel(
     wide = lattice.square(_OPENING_CYCLES * lattice.period_px)
     unexplained |= _opened(_unusual_neighbourhoods(lattice, own_misfit, said), wide)
     return Relabelled(labels, kept, unexplained, around[kept])
-
-
-def _insides(said: _Mask, labels: npt.NDArray[np.intp], count: int) -> npt.NDArray[np.intp]:
-    """Return how many places show each surface as all eight around them do."""
-    alike, near = np.where(said, labels + 1, 0).astype(np.uint8), np.ones((3, 3), np.uint8)
-    alike[cv2.dilate(alike, near) != cv2.erode(alike, near)] = 0
-    return np.bincount(alike.ravel(), minlength=count + 1)[1 : count + 1]
 
 
 def _averaged(lattice: Lattice, misfits: _Misfits, said: _Mask) -> tuple[_Misfits, _Misfits]:
@@ -158,7 +147,8 @@ def _unusual_neighbourhoods(lattice: Lattice, misfit: _Misfits, said: _Mask) -> 
     sigma = _NEIGHBOURHOOD_CYCLES * lattice.period_px
     share = lattice.blurred(said, sigma)
     mean = lattice.blurred(np.where(said, np.minimum(misfit, _MOST_AROUND), 0), sigma) / np.maximum(share, 0.1)
-    usual = float(np.median(mean[share > 0.5])) if (share > 0.5).any() else 1.0
+    whole = mean[share > 0.5]
+    usual = float(np.partition(whole, len(whole) // 2)[len(whole) // 2]) if len(whole) else 1.0
     return np.asarray(said & (mean > max(_UNEXPLAINED_AROUND, _UNUSUAL * usual)))
 
 

@@ -41,7 +41,7 @@ class SurfaceSamples:
 
 
 class _Row(IntEnum):
-    """Rows of what `compare_samples_kernel` writes: the first four of one number, the next of three, the last of 8."""
+    """First rows of what `compare_samples_kernel` writes; see `ComparedSamples`."""
 
     RESIDUAL = 0
     VARIANCE = 1

@@ -156,18 +156,6 @@ def test_a_surface_stays_that_explains_its_places_better_than_any_other(cpu):
     assert relabel(lattice, halves, before, later).kept == [0, 1, 2, 3]
 
 
-def test_a_line_is_no_surface(cpu):
-    """Two columns of places that see two paints: a third one that explains them better is a mixture."""
-    image, _, numbers = board(PAINTED)
-    lattice, misfits, before = lattice_of(image), misfits_of(image), numbers[PLACES].astype(np.uint8)
-    before[:, 9:11] = 3
-    mixture = np.full((1, *before.shape), 9, np.float32)
-    mixture[:, :, 9:11] = 0.1
-    misfits[:, :, 9:11] = 9
-    new = relabel(lattice, np.concatenate([misfits, mixture]), before, np.ones(4, bool))
-    assert new.kept == [0, 1, 2]
-
-
 def test_what_is_refused(cpu):
     image, _, _ = board(PAINTED, (40, 40))
     nodes = (np.ones((5, 5), np.float32), 8, np.zeros((40, 40), bool), LEVELS)
