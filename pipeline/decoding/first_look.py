@@ -111,6 +111,12 @@ class FirstLook:
         return runtime.to_host(self.device_image)
 
     @cached_property
+    def _samples(self) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+        """Return the frame's samples, (N, 3) levels, as they are and balanced."""
+        seen, balanced = runtime.to_host(self.gains.samples), runtime.to_host(self._model.balanced)
+        return seen.reshape(-1, 3), balanced.reshape(-1, 3)
+
+    @cached_property
     def lattice(self) -> Lattice:
         """Places all over the frame, one a node's column, and their light."""
         rows = 1 << max(0, int(math.log2(self.gains.period_px / _ROWS_A_CYCLE)))
@@ -132,7 +138,7 @@ class FirstLook:
     @cached_property
     def ambient(self) -> float:
         """Ambient light that the surfaces send back on average, levels: what the modulation does not follow."""
-        vector, contrast = self._looked_at(_AMBIENT_SAMPLES)
+        _, vector, contrast = self._looked_at(_AMBIENT_SAMPLES)
         modulation = np.hypot(vector[:, 0], vector[:, 1]) / contrast
         shown = modulation > self.levels.modulation
         if not shown.any():
@@ -199,14 +205,21 @@ class FirstLook:
         least = max(2 * self.levels.modulation, _SWING_SIGMAS * self.levels.noise)
         return np.asarray((light < 3 * self.levels.intensity) | (swing < least))
 
-    def _looked_at(self, wanted: int) -> tuple[FloatArray, FloatArray]:
-        """Return about as many samples as wanted, (N, 3): their b cos(phi), b sin(phi) and a, levels; and contrast."""
-        samples = runtime.to_host(self._model.balanced).reshape(-1, 3)
+    def some_samples(self, wanted: int) -> FloatArray:
+        """Return the light of about as many samples as wanted that show a fringe, (N, 3) levels."""
+        seen, vector, _ = self._looked_at(wanted)
+        shown = np.hypot(vector[:, 0], vector[:, 1]) > self.levels.modulation
+        return np.asarray(seen[shown & (seen.max(axis=1) < self.levels.clipped)])
+
+    def _looked_at(self, wanted: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return about as many samples as wanted, (N, 3), their b cos(phi), b sin(phi) and a, levels, and contrast."""
+        samples, balanced_samples = self._samples
         step = max(1, len(samples) // wanted)
         while math.gcd(step, int(self.gains.samples.shape[1])) > 1:  # or it meets the same columns again and again
             step += 1
-        balanced, contrast = samples[::step].astype(np.float64), self._contrast_at(np.arange(0, len(samples), step))
-        return np.asarray(balanced @ self.crosstalk.weights.T.astype(np.float64)), contrast
+        seen, balanced = samples[::step].astype(np.float64), balanced_samples[::step].astype(np.float64)
+        contrast = self._contrast_at(np.arange(0, len(samples), step))
+        return seen, np.asarray(balanced @ self.crosstalk.weights.T.astype(np.float64)), contrast
 
     def _contrast_at(self, samples: npt.NDArray[np.intp]) -> FloatArray:
         """Return what blur leaves of the contrast around some samples (N,), a factor."""

@@ -11,9 +11,10 @@ from tikernels.phase.channel_model import ChannelModel
 from tikernels.phase.channel_template import channel_harmonics
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.frame_statistics import FrameLevels
-from tikernels.phase.phase_vector import channel_delays
+from tikernels.phase.phase_vector import channel_delays, phase_weights
 from tikernels.phase.surface_colors import color_ratios
-from tikernels.phase.surface_matrix import BETWEEN, LightDoubt, band_weights
+from tikernels.phase.surface_matrix import BETWEEN, BROAD, LightDoubt, band_weights, predict_matrices
+from tikernels.phase.surface_samples import compare_samples
 
 # A frame whose colours are this close to white, as logarithms of ratios, has nothing to undo.
 _NEUTRAL = 0.05
@@ -24,6 +25,9 @@ _LEAK, _UNKNOWN_LEAK, _USUAL_LEAK = 0.004, 0.01, 0.03
 # contrast apart from what blur takes: one that is 0.08 off changes the fitted ambient light by a third.
 _KNOWN_HARMONIC, _SEEN_HARMONIC = 0.0005, 0.02
 _KNOWN_CONTRAST, _SEEN_CONTRAST = 0.02, 0.2
+# Samples that tell whether a frame's only colour acts after the crosstalk. It does if that leaves less over by this
+# factor than anything else does, and a median that noise may have, whose own is 0.67.
+_TELLING_SAMPLES, _LEAST_SAMPLES, _BY_FAR, _NOISE = 400, 60, 0.85, 1.0
 
 
 class SurfaceFinder:
@@ -93,7 +97,9 @@ class SurfaceFinder:
         if isinstance(before, FoundSurfaces):
             search = SurfaceSearch(look, known, look.labels(colors[:1]), before.fitted.matrices.sum(axis=2))
             return self._judged(search.follow(before))
-        found = SurfaceSearch(look, known, look.labels(colors), np.exp(colors)).run()
+        found = None
+        if len(colors) > 1 or not self._acts_after(look, known):
+            found = SurfaceSearch(look, known, look.labels(colors), np.exp(colors)).run()
         return OnlyColor(colors[0]) if found is None and len(colors) == 1 else self._judged(found)
 
     def _judged(self, found: FoundSurfaces | NoModelFits | None) -> FoundSurfaces | NoModelFits | None:
@@ -125,3 +131,22 @@ class SurfaceFinder:
             contrast_doubt=self._contrast_doubt,
             bands=self._bands,
         )
+
+    def _acts_after(self, look: FirstLook, known: KnownLight) -> bool:
+        """Whether the colour of a frame's only surface acts after the crosstalk, by far rather than between."""
+        light = look.some_samples(_TELLING_SAMPLES)
+        if len(light) < _LEAST_SAMPLES:
+            return False
+        color = light.mean(axis=0)
+        ambient = np.minimum(look.ambient * 3 * color / color.sum(), 0.5 * color)
+        weights = phase_weights(np.asarray(np.linalg.inv(known.matrix), np.float64), known.lag) / color
+        # The same places by two matrices.
+        seen, white = (color - ambient)[None], known.matrix * known.white[:, None]
+        matrices = np.concatenate([predict_matrices(seen, white, bands) for bands in (BROAD, known.bands)])
+        light, even, ambient, weights = (
+            np.stack([part, part]) for part in (light.T, np.ones(len(light)), ambient, weights)
+        )
+        samples = look.surface_samples(light, even, even, weights, ambient, np.ones(2), self._contrast_doubt)
+        found = compare_samples(samples, matrices, ambient, known.light, samples.phase)
+        after, otherwise = np.median(np.abs(found.residual) / np.sqrt(found.variance), axis=2)[:, 0]
+        return bool(after < _NOISE and after < _BY_FAR * otherwise)

@@ -40,8 +40,8 @@ _MARGIN_PX = 17
 _GOLDEN = 0.6180339887498949
 # How many turns at most; in all but the last the common light is fitted, too, and up to so many new surfaces are made.
 _TURNS, _NEW = 3, 5
-# Newton's steps in the first fit, besides that which every fit has.
-_MORE_STEPS = 2
+# Newton's steps in the first fit; others begin where the last one ended.
+_FIRST_STEPS = 3
 # The largest number of surfaces.
 _MOST = 16
 # If the largest surface is off by more than this, the search has failed. Demosaicking and JPEG make up to 0.03, where
@@ -264,14 +264,13 @@ class SurfaceSearch:
         if ends:
             samples = replace(samples, variance=samples.variance + (_MODEL_ERROR * light) ** 2)
         given = (expected, self._ambient, known.light, known.doubt)
-        results = [fit_matrices(samples, by, *given, before, fit_light=not ends) for by in predictions]
+        steps = _FIRST_STEPS if before is None else 1
+        results = [fit_matrices(samples, by, *given, before, fit_light=not ends, steps=steps) for by in predictions]
         best = int(np.argmin([result.cost for result in results]))
         if len(level) == 1 and self._bands[best] is BROAD:
             return None
-        self._bands, result = [self._bands[best]], results[best]
-        if before is None:
-            result = fit_matrices(samples, predictions[best], *given, result, fit_light=True, steps=_MORE_STEPS)
-        return result
+        self._bands = [self._bands[best]]
+        return results[best]
 
     def _chosen(self) -> dict[int, npt.NDArray[np.intp]]:
         """Return places of every surface that has enough of them, by its number."""

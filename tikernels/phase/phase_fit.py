@@ -249,11 +249,11 @@ def _fit_phase_kernel(mixed: bool, spacing_px: int) -> Any:
             for surface in range(mixing.shape[0]):
                 if (surfaces >> surface) & 1 == 0:
                     continue
-                inverse, ambience = surface_matrix(unmixing, surface), surface_ambient(besides, surface)
                 for k in range(STRIP):
                     color, channels = color_of(colors, k), color_of(light, k)
                     if ti.static(mixed):
-                        channels = inverse @ (channels - ambience)
+                        ambience = surface_ambient(besides, surface)
+                        channels = surface_matrix(unmixing, surface) @ (channels - ambience)
                     vector = fringe_vector(channels, color, color_of(ambients, k), weights)
                     modulation[k] = modulation_of(vector) * color.sum() / 3.0  # of channels as they are
                     bare[k] = arctangent(vector.y, vector.x)

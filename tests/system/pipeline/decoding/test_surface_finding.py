@@ -6,7 +6,7 @@ from support.colored_boards import MATRIX, PAINTS, RESPONSE, band_matrix, board,
 
 from pipeline import Decoder, DecodeSettings
 from pipeline.calibration import Calibration
-from pipeline.decoding.surface_search import SurfaceSearch
+from pipeline.decoding.surface_finding import SurfaceFinder
 
 PAINTED = ["white", "orange", "blue", "skin"]
 
@@ -49,8 +49,8 @@ def test_a_colour_that_acts_after_the_crosstalk_stays_so(cpu):
 def test_in_a_video_an_only_colour_is_asked_once(cpu, monkeypatch):
     """Until it changes, or another one joins it."""
     image, _, _ = board(["skin"], broad=1.0)
-    asked, run = [], SurfaceSearch.run
-    monkeypatch.setattr(SurfaceSearch, "run", lambda search: asked.append(1) or run(search))
+    asked, acts_after = [], SurfaceFinder._acts_after
+    monkeypatch.setattr(SurfaceFinder, "_acts_after", lambda *of: asked.append(1) or acts_after(*of))
     decoder = board_decoder(code="none")  # nor is a code looked for in the first frame
     first = decoder.decode(image)
     second = decoder.decode(image, previous=first)

@@ -117,3 +117,11 @@ def test_clipped_places_say_nothing(cpu):
     lattice = look_at(image).lattice
     assert not lattice.says[21:29, 10:12].any()
     assert lattice.says[:, :9].all()
+
+
+def test_some_samples_come_from_all_columns(cpu):
+    image, _, _ = board(["white"], (120, 160), noise=0.0)
+    image[:, 80:] *= 0.5
+    some = look_at(image).some_samples(300)
+    assert 200 < len(some) < 500
+    assert 0.35 < np.mean(some.max(axis=1) < 0.5 * some.max()) < 0.75
