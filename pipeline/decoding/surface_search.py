@@ -44,6 +44,9 @@ _TURNS, _NEW = 3, 5
 _FIRST_STEPS = 3
 # The largest number of surfaces.
 _MOST = 16
+# Under a code surfaces whose colours differ by less (natural logarithm) are one paint: its contrasts look like another
+# one's a little, as far as the light is not known.
+_ALIKE = 0.1
 # If the largest surface is off by more than this, the search has failed. Demosaicking and JPEG make up to 0.03, where
 # phases without surfaces are off up to four times as much; a calibration of another rig makes 0.05 and more.
 _CONTRADICTED = 0.04
@@ -174,7 +177,7 @@ class SurfaceSearch:
             fitted = self._fit()
             if fitted is None:
                 return None
-            new = self._relabel(self._neutral(fitted))
+            new = self._relabel(fitted, self._neutral(fitted))
             self._keep(new, fitted)
             if not self._add(new.unexplained & ~self._tried):
                 break
@@ -182,7 +185,7 @@ class SurfaceSearch:
 
     def follow(self, before: FoundSurfaces) -> FoundSurfaces | NoModelFits | None:
         """Look for the surfaces of a frame that begins with those of the one before: one turn, and the mean of both."""
-        new = self._relabel(self._neutral(before.fitted), afresh=True)
+        new = self._relabel(before.fitted, self._neutral(before.fitted), afresh=True)
         kept = self._keep(new, before.fitted)
         self._tried |= self._near_edges(_EDGE_PX)
         self._add(new.unexplained & ~self._tried)
@@ -193,7 +196,7 @@ class SurfaceSearch:
         if fitted is None:
             return None
         neutral = self._neutral(fitted)
-        new = self._relabel(neutral)
+        new = self._relabel(fitted, neutral)
         return self._found(new, self._keep(new, fitted), neutral.only(new.kept))
 
     def _found(self, new: Relabelled, fitted: FittedMatrices, neutral: NeutralLight) -> FoundSurfaces | NoModelFits:
@@ -288,11 +291,19 @@ class SurfaceSearch:
     def _neutral(self, fitted: FittedMatrices) -> NeutralLight:
         return NeutralLight.of(fitted.matrices, fitted.ambient, fitted.light, self._known.lag)
 
-    def _relabel(self, neutral: NeutralLight, *, afresh: bool = False) -> Relabelled:
+    def _relabel(self, fitted: FittedMatrices, neutral: NeutralLight, *, afresh: bool = False) -> Relabelled:
         """Give every place to the surface that explains it best."""
         lattice, levels, doubt = self._lattice, self._look.levels, self._known.contrast_doubt
         misfits = surface_misfits(lattice, neutral, levels, doubt)
-        return relabel(lattice, misfits, self._labels, self._first, afresh=afresh)
+        alike = self._alike(fitted) if doubt else np.zeros(len(misfits), bool)
+        return relabel(lattice, misfits, self._labels, self._first, alike, afresh=afresh)
+
+    def _alike(self, fitted: FittedMatrices) -> _Mask:
+        """Return which surfaces have nearly the colour of a larger one."""
+        ratios = color_ratios(fitted.matrices.sum(axis=2))
+        sizes = np.bincount(self._labels.ravel(), minlength=NO_SURFACE)[: len(ratios)]
+        apart = np.abs(ratios[:, None] - ratios).max(axis=2)
+        return np.asarray(((apart < _ALIKE) & (sizes > sizes[:, None])).any(axis=1))
 
     def _keep(self, new: Relabelled, fitted: FittedMatrices) -> FittedMatrices:
         """Go on with what has proved to be a surface, and return that."""

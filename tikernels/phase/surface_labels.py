@@ -76,6 +76,7 @@ def relabel(
     misfits: _Misfits,
     before: _Labels,
     founding: _Mask,
+    alike: _Mask,
     *,
     afresh: bool = False,
 ) -> Relabelled:
@@ -91,6 +92,8 @@ def relabel(
         The surfaces that places are taken to show so far.
     founding : (N,) bool
         Which ones the frame began with: none that came later takes the place of one.
+    alike : (N,) bool
+        Which ones are the same paint as another one: they go.
     afresh : bool
         Whether only NO_SURFACE is known of what places showed before.
     """
@@ -108,7 +111,7 @@ def relabel(
         rivals = [j for j in others if founding[j] or not founding[k]]
         if others and sizes[k] == 0:
             kept = others
-        elif rivals and means[k, rivals].min() - means[k, k] < _BETTER:
+        elif rivals and (alike[k] or means[k, rivals].min() - means[k, k] < _BETTER):
             kept = others
     nearest = np.asarray(kept)[averages[kept].argmin(axis=0)]
     while True:
