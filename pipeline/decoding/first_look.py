@@ -22,8 +22,8 @@ from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.phase_vector import SIGMAS, TINY
 from tikernels.phase.surface_colors import color_ratios, common_colors, nearest_colors
 from tikernels.phase.surface_labels import LEAST_PX
-from tikernels.phase.surface_matrix import SurfaceSamples
 from tikernels.phase.surface_misfits import REACH_PX, Lattice, average_light
+from tikernels.phase.surface_samples import SurfaceSamples
 from tikernels.phase.surfaces import NO_SURFACE
 from tikernels.phase.wrapped_phase import LEAST_NO_PHASE
 
@@ -218,18 +218,11 @@ class FirstLook:
         between = cv2.resize(np.ascontiguousarray(values), size, interpolation=how)
         return np.ascontiguousarray(between[:height, :width])
 
-    def _correction_at(self, phase: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
-        """Return what to add to bare phases, rad; several times as fast as `np.interp`."""
-        places = (phase + np.pi) * ((len(self.correction) - 1) / (2 * np.pi))
-        bins = np.clip(places.astype(np.int32), 0, len(self.correction) - 2)
-        left = self.correction[bins]
-        return np.asarray(left + (places - bins) * (self.correction[bins + 1] - left))
-
     def surface_samples(
         self,
-        light: FloatArray,
-        around: FloatArray,
-        contrast: FloatArray,
+        light: npt.NDArray[np.floating],
+        around: npt.NDArray[np.floating],
+        contrast: npt.NDArray[np.floating],
         weights: FloatArray,
         ambient: FloatArray,
         share: FloatArray,
@@ -248,11 +241,13 @@ class FirstLook:
         ambient : (n, 3)
             Its ambient light, levels.
         """
-        vector = weights @ (light - ambient[..., None])
+        channels, mean, sharp = (np.asarray(part, np.float32, order="C") for part in (light, around, contrast))
+        vector = weights.astype(np.float32) @ (channels - ambient[..., None].astype(np.float32))
         bare = np.arctan2(vector[:, 1], vector[:, 0])
-        noise = self.levels.read_noise**2 + self.levels.noise_gain * np.maximum(light, 0)
-        phase, around = bare + self._correction_at(bare), np.maximum(around, TINY)
-        return SurfaceSamples(light, noise, phase, around, contrast, share, contrast_doubt)
+        noise = self.levels.read_noise**2 + self.levels.noise_gain * np.maximum(channels, 0)
+        phase = bare + np.interp(bare, np.linspace(-np.pi, np.pi, len(self.correction)), self.correction)
+        found = (channels, noise, phase.astype(np.float32), np.maximum(mean, TINY), sharp)
+        return SurfaceSamples(*found, share, contrast_doubt)
 
 
 def _smoothed_across(sums: npt.NDArray[np.floating], sigma: float) -> npt.NDArray[np.floating]:

@@ -13,7 +13,8 @@ from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.phase_vector import channel_delays, phase_weights
 from tikernels.phase.surface_colors import color_ratios
-from tikernels.phase.surface_matrix import BETWEEN, BROAD, LightDoubt, band_weights, predict_matrices, residuals
+from tikernels.phase.surface_matrix import BETWEEN, BROAD, LightDoubt, band_weights, predict_matrices
+from tikernels.phase.surface_samples import compare_samples
 
 # A frame whose colours are this close to white, as logarithms of ratios, has nothing to undo.
 _NEUTRAL = 0.05
@@ -136,13 +137,13 @@ class SurfaceFinder:
         color = light.mean(axis=0)
         ambient = np.minimum(look.ambient * color / color.mean(), 0.5 * color)
         weights = phase_weights(np.asarray(np.linalg.inv(known.matrix), np.float64), known.lag) / color
-        even = np.ones((1, len(light)))
-        samples = look.surface_samples(
-            light.T[None], even, even, weights[None], ambient[None], np.ones(1), self._contrast_doubt
-        )
-
+        # The same places by two matrices.
         seen, white = (color - ambient)[None], known.matrix * known.white[:, None]
         matrices = np.concatenate([predict_matrices(seen, white, bands) for bands in (BROAD, known.bands)])
-        left_over = np.abs(residuals(samples, matrices, ambient, known.light))
-        after, otherwise = np.median(left_over, axis=1)
+        light, even, ambient, weights = (
+            np.stack([part, part]) for part in (light.T, np.ones(len(light)), ambient, weights)
+        )
+        samples = look.surface_samples(light, even, even, weights, ambient, np.ones(2), self._contrast_doubt)
+        found = compare_samples(samples, matrices, ambient, known.light, samples.phase)
+        after, otherwise = np.median(np.abs(found.residual) / np.sqrt(found.variance), axis=2)[:, 0]
         return bool(after < otherwise)

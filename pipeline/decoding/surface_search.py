@@ -23,9 +23,7 @@ from tikernels.phase.surface_matrix import (
     FittedMatrices,
     LightDoubt,
     PredictedMatrices,
-    SurfaceSamples,
     fit_matrices,
-    predict_matrices,
 )
 from tikernels.phase.surface_misfits import NeutralLight, average_light, surface_misfits
 from tikernels.phase.surfaces import NO_SURFACE, Surfaces
@@ -40,16 +38,12 @@ _FIRST_SAMPLES, _SAMPLES, _MOST_SAMPLES, _FEW_SAMPLES, _LEAST_SAMPLES = 1000, 40
 _MARGIN_PX = 17
 # They are spread evenly: the golden section, whose multiples come nowhere near each other.
 _GOLDEN = 0.6180339887498949
-# How many turns; in all but the last the common light is fitted, too, and up to so many new surfaces are made.
+# How many turns at most; in all but the last the common light is fitted, too, and up to so many new surfaces are made.
 _TURNS, _NEW = 3, 5
-# Newton's steps in the first turn, and in those that begin where the last one ended.
-_FIRST_STEPS, _STEPS = 3, 1
+# Newton's steps in the first fit; others begin where the last one ended.
+_FIRST_STEPS = 3
 # The largest number of surfaces.
 _MOST = 16
-# A surface whose pixels are off its model by more than this fraction does not fit them, unless the frame began with it.
-_UNFIT = 0.02
-# By how much better than any other a surface must explain its places, in variances; and if it does not fit them.
-_BETTER, _MUCH_BETTER = 0.3, 1.0
 # Under a code surfaces whose colours differ by less (natural logarithm) are one paint: its contrasts look like another
 # one's a little, as far as the light is not known.
 _ALIKE = 0.1
@@ -170,8 +164,8 @@ class SurfaceSearch:
         self._ambient: FloatArray | None = None  # (n, 3) levels
         self._fitted: FittedMatrices | None = None  # of the first of these surfaces
         self._bands = [known.bands, BROAD]  # where colours act; those that are still possible
-        # Which surfaces need not fit: those that the frame began with, and those that have not been fitted yet.
-        self._first = self._spared = np.ones(len(colors), bool)
+        # Which surfaces the frame began with.
+        self._first = np.ones(len(colors), bool)
         # Places where no new surface is looked for: those at an edge see two of them, and no matrix explains that; and
         # those where a new surface has been dropped. A first surface that is dropped may be a mixture of others, so its
         # place stays open.
@@ -183,14 +177,15 @@ class SurfaceSearch:
             fitted = self._fit()
             if fitted is None:
                 return None
-            new = self._relabel(fitted)
+            new = self._relabel(fitted, self._neutral(fitted))
             self._keep(new, fitted)
-            self._add(new.unexplained & ~self._tried)
+            if not self._add(new.unexplained & ~self._tried):
+                break
         return self._last_turn(self._fit(ends=True))
 
     def follow(self, before: FoundSurfaces) -> FoundSurfaces | NoModelFits | None:
         """Look for the surfaces of a frame that begins with those of the one before: one turn, and the mean of both."""
-        new = self._relabel(before.fitted, afresh=True)
+        new = self._relabel(before.fitted, self._neutral(before.fitted), afresh=True)
         kept = self._keep(new, before.fitted)
         self._tried |= self._near_edges(_EDGE_PX)
         self._add(new.unexplained & ~self._tried)
@@ -200,10 +195,11 @@ class SurfaceSearch:
     def _last_turn(self, fitted: FittedMatrices | None) -> FoundSurfaces | NoModelFits | None:
         if fitted is None:
             return None
-        new = self._relabel(fitted)
-        return self._found(new, self._keep(new, fitted))
+        neutral = self._neutral(fitted)
+        new = self._relabel(fitted, neutral)
+        return self._found(new, self._keep(new, fitted), neutral.only(new.kept))
 
-    def _found(self, new: Relabelled, fitted: FittedMatrices) -> FoundSurfaces | NoModelFits:
+    def _found(self, new: Relabelled, fitted: FittedMatrices, neutral: NeutralLight) -> FoundSurfaces | NoModelFits:
         """Return the surfaces, unless the largest is far from fitting, as with a calibration that is not this rig's."""
         sizes = np.bincount(self._labels.ravel(), minlength=NO_SURFACE)[: len(fitted.matrices)]
         shares, largest = sizes / max(sizes.sum(), 1), sizes.argmax()
@@ -216,14 +212,14 @@ class SurfaceSearch:
         odd = NoModelFits(float(fitted.misfit[strange].max(initial=0)), float(shares[strange].sum()), color)
         whitest = np.abs(ratios).max(axis=1).argmin()
         return FoundSurfaces(
-            self._known.crosstalk(fitted.matrices, self._of_pixels(new, fitted), fitted.ambient),
+            self._known.crosstalk(fitted.matrices, self._of_pixels(new, neutral), fitted.ambient),
             self._known.template(fitted.light),
             fitted,
             float(fitted.mismatch[whitest]),
             odd if odd.share > _ODD_SHARE else None,
         )
 
-    def _of_pixels(self, new: Relabelled, fitted: FittedMatrices) -> _Labels:
+    def _of_pixels(self, new: Relabelled, neutral: NeutralLight) -> _Labels:
         """Return which surface each pixel shows, (H, W): that of the places around, or where these differ its own."""
         look, lattice, (height, width) = self._look, self._lattice, self._look.unlit.shape
         rows, columns = lattice.rows, lattice.columns
@@ -232,11 +228,11 @@ class SurfaceSearch:
         nearest = np.maximum(np.where(shown == 0, near, shown), 1) - 1
         labels = nearest.repeat(rows, axis=0)[:height].repeat(columns, axis=1)[:, :width]
         labels = np.where(look.unlit, NO_SURFACE, labels).astype(np.uint8)
-        if len(fitted.matrices) > 1:
+        if len(new.kept) > 1:
             cells = cells_of_pixels(lattice, new.labels, (height, width))
             nodes = (look.contrast, look.spacing_px, look.unlit, look.levels)
             seen = average_light(look.device_image, look.gains, look.crosstalk, *nodes, 1, 1, 0, cells)
-            neutral, doubt = self._neutral(fitted), self._known.contrast_doubt
+            doubt = self._known.contrast_doubt
             choose_surfaces(*seen, cells, neutral, look.levels, doubt, lattice, new.around, labels)
         return labels
 
@@ -245,34 +241,34 @@ class SurfaceSearch:
 
         Noise tells surfaces apart best; in the end it is the model that is wrong by more.
         """
-        look, known = self._look, self._known
-        chosen = self._chosen()
+        look, known, chosen = self._look, self._known, self._chosen()
         if not chosen:
             return None
         self._renumber(list(chosen))
-        samples = self._samples(list(chosen.values()))
-        if ends:
-            samples = replace(samples, variance=samples.variance + (_MODEL_ERROR * samples.light) ** 2)
-        level = samples.light.mean(axis=2)
+        before = self._fitted
+        budget = _FIRST_SAMPLES if before is None else _SAMPLES
+        spread = np.arange(min(budget // len(chosen), _MOST_SAMPLES)) * _GOLDEN % 1
+        places = np.stack([own[(spread * len(own)).astype(np.intp)] for own in chosen.values()])
+        light = self._lattice.light.reshape(-1, 3)[places].swapaxes(1, 2)
+        level = light.mean(axis=2, dtype=np.float64)
         colors, white = self._colors, known.matrix * known.white[:, None]
         expected = np.minimum(look.ambient * 3 * colors / colors.sum(axis=1, keepdims=True), _MOST_AMBIENT * level)
         if self._ambient is None:
             self._ambient = expected
             colors = np.maximum(level - expected, 1e-6)
-        results = [
-            fit_matrices(
-                samples,
-                PredictedMatrices.of(colors, white, bands),
-                expected,
-                self._ambient,
-                known.light,
-                known.doubt,
-                self._fitted,
-                fit_light=not ends,
-                steps=_FIRST_STEPS if self._fitted is None else _STEPS,
-            )
-            for bands in self._bands
-        ]
+        predictions = [PredictedMatrices.of(colors, white, bands) for bands in self._bands]
+        matrices = predictions[0].matrices
+        if before is not None:
+            matrices = np.concatenate([before.matrices, matrices[len(before.matrices) :]])
+        unmixing = phase_weights(np.asarray(np.linalg.inv(matrices), np.float64), known.lag)
+        share = np.minimum(1, [len(own) / len(spread) for own in chosen.values()])
+        around, contrast = look.around.ravel()[places], self._lattice.contrast.ravel()[places]
+        samples = look.surface_samples(light, around, contrast, unmixing, self._ambient, share, known.contrast_doubt)
+        if ends:
+            samples = replace(samples, variance=samples.variance + (_MODEL_ERROR * light) ** 2)
+        given = (expected, self._ambient, known.light, known.doubt)
+        steps = _FIRST_STEPS if before is None else 1
+        results = [fit_matrices(samples, by, *given, before, fit_light=not ends, steps=steps) for by in predictions]
         best = int(np.argmin([result.cost for result in results]))
         if len(level) == 1 and self._bands[best] is BROAD:
             return None
@@ -292,34 +288,15 @@ class SurfaceSearch:
                 chosen[surface] = places
         return chosen
 
-    def _samples(self, chosen: list[npt.NDArray[np.intp]]) -> SurfaceSamples:
-        """Return as many places of every surface, given all that it has."""
-        look, known, lattice = self._look, self._known, self._lattice
-        budget = _FIRST_SAMPLES if self._fitted is None else _SAMPLES
-        spread = np.arange(min(budget // len(chosen), _MOST_SAMPLES)) * _GOLDEN % 1
-        places = np.stack([own[(spread * len(own)).astype(np.intp)] for own in chosen])
-        share = np.minimum(1, [len(own) / len(spread) for own in chosen])
-        ambient = np.zeros((len(chosen), 3)) if self._ambient is None else self._ambient
-        light = lattice.light.reshape(-1, 3)[places].swapaxes(1, 2).astype(np.float64, order="C")
-        contrast = lattice.contrast.ravel()[places].astype(np.float64)
-        matrices = predict_matrices(self._colors, known.matrix * known.white[:, None], self._bands[0])
-        if self._fitted is not None:
-            matrices[: len(self._fitted.matrices)] = self._fitted.matrices
-        unmixing = phase_weights(np.asarray(np.linalg.inv(matrices), np.float64), known.lag)
-        around = (look.around.ravel()[places], contrast)
-        return look.surface_samples(light, *around, unmixing, ambient, share, known.contrast_doubt)
-
     def _neutral(self, fitted: FittedMatrices) -> NeutralLight:
         return NeutralLight.of(fitted.matrices, fitted.ambient, fitted.light, self._known.lag)
 
-    def _relabel(self, fitted: FittedMatrices, *, afresh: bool = False) -> Relabelled:
+    def _relabel(self, fitted: FittedMatrices, neutral: NeutralLight, *, afresh: bool = False) -> Relabelled:
         """Give every place to the surface that explains it best."""
         lattice, levels, doubt = self._lattice, self._look.levels, self._known.contrast_doubt
-        misfits = surface_misfits(lattice, self._neutral(fitted), levels, doubt)
-        gains = np.where((fitted.misfit < _UNFIT) | self._spared, _BETTER, _MUCH_BETTER)
-        if doubt:
-            gains[self._alike(fitted)] = np.inf
-        return relabel(lattice, misfits, self._labels, gains, self._first, afresh=afresh)
+        misfits = surface_misfits(lattice, neutral, levels, doubt)
+        alike = self._alike(fitted) if doubt else np.zeros(len(misfits), bool)
+        return relabel(lattice, misfits, self._labels, self._first, alike, afresh=afresh)
 
     def _alike(self, fitted: FittedMatrices) -> _Mask:
         """Return which surfaces have nearly the colour of a larger one."""
@@ -335,15 +312,15 @@ class SurfaceSearch:
         self._fitted = kept = fitted.only(new.kept)
         self._labels, self._ambient = new.labels, kept.ambient
         self._colors = kept.matrices.sum(axis=2)
-        self._first = self._spared = self._first[new.kept]
+        self._first = self._first[new.kept]
         return kept
 
-    def _add(self, unexplained: _Mask) -> None:
-        """Make new surfaces of places that none explains."""
+    def _add(self, unexplained: _Mask) -> bool:
+        """Make new surfaces of places that none explains, and return whether there are any."""
         lattice, count = self._lattice, len(self._colors)
         least = LEAST_PX / lattice.pixels
         if np.count_nonzero(unexplained) < least or self._ambient is None:
-            return
+            return False
         sigma = _COLOR_CYCLES * lattice.period_px
         share = lattice.blurred(unexplained, sigma)[..., None]
         seen = lattice.blurred(np.where(unexplained[..., None], lattice.light, 0), sigma)
@@ -353,7 +330,7 @@ class SurfaceSearch:
         places = [_largest_part(unexplained, nearest == k, least) for k in range(len(centers))]
         places = [place for place in places if np.count_nonzero(place) >= least]
         if not places:
-            return
+            return False
         light = np.array([lattice.light[place].mean(axis=0) for place in places], np.float64)
         ambient = np.minimum(np.median(self._ambient, axis=0), _MOST_AMBIENT * light)
         self._labels = self._labels.copy()
@@ -361,8 +338,8 @@ class SurfaceSearch:
             self._labels[place] = number
         self._colors = np.concatenate([self._colors, np.maximum(light - ambient, 1e-6)])
         self._ambient = np.concatenate([self._ambient, ambient])
-        self._spared = np.concatenate([self._spared, np.ones(len(places), bool)])
         self._first = np.concatenate([self._first, np.zeros(len(places), bool)])
+        return True
 
     def _renumber(self, numbers: list[int]) -> None:
         """Keep the surfaces with these numbers only."""
@@ -372,7 +349,7 @@ class SurfaceSearch:
         table[numbers], table[NO_SURFACE] = np.arange(len(numbers)), NO_SURFACE
         self._labels = table[self._labels]
         self._colors = self._colors[numbers]
-        self._spared, self._first = self._spared[numbers], self._first[numbers]
+        self._first = self._first[numbers]
         if self._ambient is not None:
             self._ambient = self._ambient[numbers]
         if self._fitted is not None:

@@ -20,7 +20,7 @@ from tikernels.launching import kernel
 from tikernels.phase.color_balance import Gains, gain_at
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.phase_vector import PI, color_at, matrix_of
-from tikernels.phase.surfaces import neutral_light, without_ambient
+from tikernels.phase.surfaces import neutral_light
 from tikernels.raw.linearization import LEVEL_TYPES
 from tikernels.unwrapping.patches import Patches
 from tikernels.unwrapping.tables import (
@@ -113,8 +113,7 @@ def measure_contrast_kernel(mixed: bool) -> Any:
                         add_cycle(label, sums, block, cells, draft_bits, out_sums)
                         label, sums = labels[y, x], vec6(0.0)
                     if label >= 0:
-                        projected = without_ambient(color_at(image, y, x), besides, surface_labels, y, x, mixed)
-                        channels = neutral_light(projected, unmixing, surface_labels, y, x, mixed)
+                        channels = neutral_light(color_at(image, y, x), unmixing, besides, surface_labels, y, x, mixed)
                         light = background.dot(channels)
                         ripple = 1.5 / PI * phase[y, x]
                         wave = cosine(ripple), cosine(ripple - 0.25)

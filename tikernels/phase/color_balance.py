@@ -31,7 +31,7 @@ from tikernels.phase.crosstalk import Crosstalk, unmixed
 from tikernels.phase.frame_statistics import MIN_PERIOD_PX, FrameLevels
 from tikernels.phase.phase_change import LEAST_CHANGE, SAMPLE
 from tikernels.phase.phase_vector import TINY, color_at, matrix_of, modulation_of
-from tikernels.phase.surfaces import neutral_light, shows_surface, without_ambient
+from tikernels.phase.surfaces import neutral_light, shows_surface
 from tikernels.raw.linearization import LEVEL_TYPES
 from tikernels.strips import SPREAD, color_of, lanes_of_colors, set_color, strip_at, strip_count
 
@@ -209,8 +209,7 @@ def _collect_samples_kernel(mixed: bool) -> Any:
                     if ti.static(not mixed):
                         kept = light
                     elif shows_surface(labels, y, x):
-                        projected = without_ambient(light, besides, labels, y, x, mixed)
-                        kept = neutral_light(projected, unmixing, labels, y, x, mixed)
+                        kept = neutral_light(light, unmixing, besides, labels, y, x, mixed)
             for k in ti.static(range(3)):
                 out_samples[y, j, k] = kept[k]
 

@@ -53,12 +53,10 @@ from tikernels.phase.equalization import equalized
 from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.phase_vector import SIGMAS, TINY, arctangent, color_at, matrix_of, modulation_of
 from tikernels.phase.surfaces import (
-    neutral_light,
     shows_surface,
     surface_ambient,
     surface_at,
     surface_matrix,
-    without_ambient,
 )
 from tikernels.phase.wrapped_phase import NO_PHASE
 from tikernels.raw.linearization import LEVEL_TYPES
@@ -108,22 +106,19 @@ def fringe_vector(channels: vec3, color: vec3, ambient: vec3, weights: mat3) -> 
 
 
 @ti.func
-def pixel_model(
+def surface_model(
     cycle: vec3,
     slope: vec3,
     color: vec3,
     ambient: vec3,
+    surface: i32,
     mixing: F32Array3,
     besides: F32Array2,
-    labels: U8Array2,
-    y: i32,
-    x: i32,
     mixed: Static,
 ):
     """Return a pixel's channels M, their change with phase M' and contrast W, all for s = 1, and with ambient B."""
     model, change, swing, rest = color * cycle, color * slope, color * (cycle - 1.0), ambient
     if ti.static(mixed):
-        surface = surface_at(labels, y, x)
         matrix = surface_matrix(mixing, surface)
         model, change, swing = matrix @ model, matrix @ change, matrix @ swing
         rest = matrix @ ambient + surface_ambient(besides, surface)
@@ -244,41 +239,49 @@ def _fit_phase_kernel(mixed: bool, spacing_px: int) -> Any:
             phase, modulation, precision, left, bright = lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0)
             load_nodes(nodes, sharpness, spacing_px, y, place, colors, ambients, sharper)
             first, stop = ti.max(-start, 0), ti.min(STRIP, width - start)
+            own, surfaces = lanes(0.0), ti.static(0 if mixed else 1)  # a bit for each that the strip shows
             for k in range(first, stop):
                 set_color(light, k, color_at(image, y, start + k))
-            for k in range(STRIP):
-                color, ambient = color_of(colors, k), color_of(ambients, k)
-                projected = without_ambient(color_of(light, k), besides, labels, y, ti.max(start + k, 0), mixed)
-                channels = neutral_light(projected, unmixing, labels, y, ti.max(start + k, 0), mixed)
-                vector = fringe_vector(channels, color, ambient, weights)
-                modulation[k] = modulation_of(vector) * color.sum() / 3.0  # of channels as they are
-                bare[k] = arctangent(vector.y, vector.x)
-            for k in range(STRIP):
-                start_phase[k] = equalized(bare[k], correction)
-            for k in range(STRIP):
-                seen, color, ambient = color_of(light, k), color_of(colors, k), color_of(ambients, k)
-                cycle, slope = sharpened_cycle_and_slope(harmonics, start_phase[k], color_of(sharper, k))
-                model, change, swing, rest = pixel_model(
-                    cycle, slope, color, ambient, mixing, besides, labels, y, ti.max(start + k, 0), mixed
-                )
-                weight = 1.0 / ti.sqrt(read_noise * read_noise + noise_gain * ti.max(seen, 0.0))
-                step, precise, left[k], shown = fitted_step(
-                    weight * (seen - rest), weight * model, weight * change, weight * swing, contrast_doubt
-                )
-                precision[k] = precise / ti.max(1.0, left[k] / MAX_MISFIT)
-                bright[k] = shown * (model - swing).sum() / 3.0
-                valid = is_lit(seen, min_intensity, clipped) & (modulation[k] > min_modulation)
-                valid &= precision[k] > min_precision
                 if ti.static(mixed):
-                    valid &= shows_surface(labels, y, ti.max(start + k, 0))
-                fitted = start_phase[k] + ti.math.clamp(step, -_MAX_STEP, _MAX_STEP)
-                phase[k] = ti.select(valid, fitted, NO_PHASE)
-            for k in range(first, stop):
-                out_phase[y, start + k] = phase[k]
-                out_modulation[y, start + k] = modulation[k]
-                out_precision[y, start + k] = precision[k]
-                out_misfit[y, start + k] = left[k]
-                out_brightness[y, start + k] = bright[k]
+                    surface = surface_at(labels, y, start + k)
+                    own[k], surfaces = surface, surfaces | (1 << surface)
+            # Nearly all strips show one: its matrix is loaded once, and what others do of its pixels is left.
+            for surface in range(mixing.shape[0]):
+                if (surfaces >> surface) & 1 == 0:
+                    continue
+                for k in range(STRIP):
+                    color, channels = color_of(colors, k), color_of(light, k)
+                    if ti.static(mixed):
+                        ambience = surface_ambient(besides, surface)
+                        channels = surface_matrix(unmixing, surface) @ (channels - ambience)
+                    vector = fringe_vector(channels, color, color_of(ambients, k), weights)
+                    modulation[k] = modulation_of(vector) * color.sum() / 3.0  # of channels as they are
+                    bare[k] = arctangent(vector.y, vector.x)
+                for k in range(STRIP):
+                    start_phase[k] = equalized(bare[k], correction)
+                for k in range(STRIP):
+                    seen, color, ambient = color_of(light, k), color_of(colors, k), color_of(ambients, k)
+                    cycle, slope = sharpened_cycle_and_slope(harmonics, start_phase[k], color_of(sharper, k))
+                    model, change, swing, rest = surface_model(
+                        cycle, slope, color, ambient, surface, mixing, besides, mixed
+                    )
+                    weight = 1.0 / ti.sqrt(read_noise * read_noise + noise_gain * ti.max(seen, 0.0))
+                    step, precise, left[k], shown = fitted_step(
+                        weight * (seen - rest), weight * model, weight * change, weight * swing, contrast_doubt
+                    )
+                    precision[k] = precise / ti.max(1.0, left[k] / MAX_MISFIT)
+                    bright[k] = shown * (model - swing).sum() / 3.0
+                    valid = is_lit(seen, min_intensity, clipped) & (modulation[k] > min_modulation)
+                    fitted = start_phase[k] + ti.math.clamp(step, -_MAX_STEP, _MAX_STEP)
+                    phase[k] = ti.select(valid & (precision[k] > min_precision), fitted, NO_PHASE)
+                for k in range(first, stop):
+                    if own[k] == surface:
+                        shows = shows_surface(labels, y, start + k) if ti.static(mixed) else True
+                        out_phase[y, start + k] = ti.select(shows, phase[k], NO_PHASE)
+                        out_modulation[y, start + k] = modulation[k]
+                        out_precision[y, start + k] = precision[k]
+                        out_misfit[y, start + k] = left[k]
+                        out_brightness[y, start + k] = bright[k]
 
     return fit_phase_kernel
 

@@ -47,10 +47,10 @@ _ALONE = np.ones(1)
 _NEIGHBOURHOOD_CYCLES, _MOST_AROUND = 0.85, 4.0
 # So far from an edge between two places pixels are asked, px.
 _EDGE_PX = 4
+# By how much better than any other a surface must explain its places, in variances.
+_BETTER = 0.3
 # A surface of fewer pixels is none.
 LEAST_PX = 400
-# Nor is one of which no more than this share is inside: a mixture of two along their edge.
-_LINE = 0.03
 # No surface explains a place with a larger misfit, or a neighbourhood with one larger than this, also in units of what
 # is usual in the frame.
 _UNEXPLAINED, _UNEXPLAINED_AROUND, _UNUSUAL = 3.0, 1.4, 1.6
@@ -75,8 +75,8 @@ def relabel(
     lattice: Lattice,
     misfits: _Misfits,
     before: _Labels,
-    gains: npt.NDArray[np.float64],
     founding: _Mask,
+    alike: _Mask,
     *,
     afresh: bool = False,
 ) -> Relabelled:
@@ -90,10 +90,10 @@ def relabel(
         See `surface_misfits`.
     before : (h, w) uint8
         The surfaces that places are taken to show so far.
-    gains : (N,) float
-        By how much better than any other each must explain its places to be kept.
     founding : (N,) bool
         Which ones the frame began with: none that came later takes the place of one.
+    alike : (N,) bool
+        Which ones are the same paint as another one: they go.
     afresh : bool
         Whether only NO_SURFACE is known of what places showed before.
     """
@@ -111,31 +111,23 @@ def relabel(
         rivals = [j for j in others if founding[j] or not founding[k]]
         if others and sizes[k] == 0:
             kept = others
-        elif rivals and means[k, rivals].min() - means[k, k] < gains[k]:
+        elif rivals and (alike[k] or means[k, rivals].min() - means[k, k] < _BETTER):
             kept = others
+    nearest = np.asarray(kept)[averages[kept].argmin(axis=0)]
     while True:
-        nearest = averages[kept].argmin(axis=0)
-        sizes = np.bincount(nearest[said], minlength=len(kept))
-        worth = np.minimum(
-            sizes * (lattice.pixels / LEAST_PX), _insides(said, nearest, len(kept)) / (_LINE * sizes + 1e-9)
-        )
-        if len(kept) == 1 or worth.min() >= 1:
+        sizes = np.bincount(nearest[said], minlength=len(misfits))[kept]
+        if len(kept) == 1 or sizes.min() >= LEAST_PX / lattice.pixels:
             break
-        kept.pop(int(worth.argmin()))
-    labels = np.where(shown, nearest, NO_SURFACE).astype(np.uint8)
-    least = np.take_along_axis(averages[kept], nearest[None], 0)[0]
-    own_misfit = np.take_along_axis(misfits[kept], nearest[None], 0)[0]
+        left = nearest == kept.pop(int(sizes.argmin()))
+        nearest[left] = np.asarray(kept)[averages[:, left][kept].argmin(axis=0)]
+    numbers = np.zeros(len(misfits), np.uint8)
+    numbers[kept] = np.arange(len(kept))
+    labels = np.where(shown, numbers[nearest], NO_SURFACE).astype(np.uint8)
+    least, own_misfit = (np.take_along_axis(values, nearest[None], 0)[0] for values in (averages, misfits))
     unexplained = _opened(said & (least > _UNEXPLAINED), lattice.square(_OPENING_PX))
     wide = lattice.square(_OPENING_CYCLES * lattice.period_px)
     unexplained |= _opened(_unusual_neighbourhoods(lattice, own_misfit, said), wide)
     return Relabelled(labels, kept, unexplained, around[kept])
-
-
-def _insides(said: _Mask, labels: npt.NDArray[np.intp], count: int) -> npt.NDArray[np.intp]:
-    """Return how many places show each surface as all eight around them do."""
-    alike, near = np.where(said, labels + 1, 0).astype(np.uint8), np.ones((3, 3), np.uint8)
-    alike[cv2.dilate(alike, near) != cv2.erode(alike, near)] = 0
-    return np.bincount(alike.ravel(), minlength=count + 1)[1 : count + 1]
 
 
 def _averaged(lattice: Lattice, misfits: _Misfits, said: _Mask) -> tuple[_Misfits, _Misfits]:
@@ -158,7 +150,8 @@ def _unusual_neighbourhoods(lattice: Lattice, misfit: _Misfits, said: _Mask) -> 
     sigma = _NEIGHBOURHOOD_CYCLES * lattice.period_px
     share = lattice.blurred(said, sigma)
     mean = lattice.blurred(np.where(said, np.minimum(misfit, _MOST_AROUND), 0), sigma) / np.maximum(share, 0.1)
-    usual = float(np.median(mean[share > 0.5])) if (share > 0.5).any() else 1.0
+    whole = mean[share > 0.5]
+    usual = float(np.partition(whole, len(whole) // 2)[len(whole) // 2]) if len(whole) else 1.0
     return np.asarray(said & (mean > max(_UNEXPLAINED_AROUND, _UNUSUAL * usual)))
 
 

@@ -20,14 +20,14 @@ from tikernels import checks, runtime
 from tikernels._taichi import AnyArray3, F32Array2, F32Array3, I32Array2, U8Array2, f32, i32, ti, vec3
 from tikernels.arrays import F32, I32, LevelsImage
 from tikernels.launching import kernel
-from tikernels.phase.color_balance import Gains, gain_at
+from tikernels.phase.color_balance import Gains, channels_at, gain_at
 from tikernels.phase.crosstalk import Crosstalk, weighed_vector
 from tikernels.phase.frame_statistics import FrameLevels
-from tikernels.phase.phase_vector import arctangent, color_at, matrix_of, modulation_of, phase_weights
+from tikernels.phase.phase_vector import color_at, matrix_of, modulation_of, phase_weights, with_sign_of
 from tikernels.phase.surface_matrix import waves
 from tikernels.phase.surfaces import surface_ambient, surface_matrix
 from tikernels.raw.linearization import LEVEL_TYPES
-from tikernels.strips import strip_count
+from tikernels.strips import color_of, lanes_of_colors, set_color, strip_count
 
 _Misfits = npt.NDArray[np.float32]
 _Array = npt.NDArray[np.float64]
@@ -50,8 +50,9 @@ _CORNERS = 0.02
 _LOST_DOUBT = 0.6
 # A model is no better than this fraction of a pixel's light, and of the ambient light.
 _MODEL_ERROR, _AMBIENT_ERROR = 0.009, 0.04
-# Places of the cycle in the table of the light's contrast.
-_BINS = 256
+# Phases that the light's contrast is computed at. And places of its table, around the square |x| + |y| = 1: to find a
+# point's place takes a division, but no arctangent; from one to the next the contrast changes by up to 0.004.
+_PHASES, _PLACES = 256, 1024
 # A code's contrast is told by what is around, a Gaussian in cycles; residuals count in full up to this many standard
 # deviations.
 _CODE_CYCLES, _TRUSTED = 0.3, 3.0
@@ -98,7 +99,11 @@ class NeutralLight(NamedTuple):
     ambient: npt.NDArray[np.float32]
     """(N, 3) light that each sends back besides, levels."""
     contrast: npt.NDArray[np.float32]
-    """(2, bins + 1) b over a at the bare phase from -pi to pi, and its derivative."""
+    """(2, places) b over a at the bare phase, and its derivative; see `place_around`."""
+
+    def only(self, surfaces: list[int]) -> "NeutralLight":
+        """Return that of some of the surfaces."""
+        return self._replace(unmixing=self.unmixing[surfaces], ambient=self.ambient[surfaces])
 
     @classmethod
     def of(
@@ -117,13 +122,16 @@ class NeutralLight(NamedTuple):
         lag : (3,), optional
             See `channel_delays`.
         """
-        sent = waves(light, np.linspace(-np.pi, np.pi, _BINS, endpoint=False))[0]
+        sent = waves(light, np.linspace(-np.pi, np.pi, _PHASES, endpoint=False))[0]
         vectors = phase_weights(np.eye(3), lag)
         cosine, sine, mean = vectors @ sent
-        phases = np.linspace(-np.pi, np.pi, _BINS + 1)
+        phases = np.linspace(-np.pi, np.pi, _PHASES + 1)
         rho = np.interp(phases, np.arctan2(sine, cosine), np.hypot(cosine, sine) / mean, period=2 * np.pi)
-        slope = (np.roll(rho[:-1], -1) - np.roll(rho[:-1], 1)) * (_BINS / (4 * np.pi))
-        table = np.stack([rho, np.append(slope, slope[0])])
+        slope = (np.roll(rho[:-1], -1) - np.roll(rho[:-1], 1)) * (_PHASES / (4 * np.pi))
+        around = (np.arange(_PLACES) + 0.5) * (4 / _PLACES) - 2
+        x = 1 - np.abs(around)
+        bare = np.copysign(np.arctan2(1 - np.abs(x), x), around)
+        table = np.stack([np.interp(bare, phases, values) for values in (rho, np.append(slope, slope[0]))])
         tables = (vectors @ np.linalg.inv(matrices), ambient, table)
         return cls(*(np.ascontiguousarray(part, np.float32) for part in tables))
 
@@ -226,6 +234,13 @@ def cells_of(size: tuple[int, int]) -> tuple[int, int]:
     return -(-size[0] // CELL_ROWS), -(-size[1] // AT_ONCE)
 
 
+@ti.func
+def place_around(x: f32, y: f32) -> f32:
+    """Return a point's place in `NeutralLight.contrast`, from 0 to 1024, by its angle."""
+    along = x / ti.max(ti.abs(x) + ti.abs(y), 1e-30)
+    return (2.0 + with_sign_of(1.0 - along, y)) * ti.static(_PLACES / 4)
+
+
 @kernel
 def surface_misfits_kernel(
     light: F32Array3,  # (h, w, 3) levels; see `average_light_kernel`
@@ -233,7 +248,7 @@ def surface_misfits_kernel(
     cells: I32Array2,  # (h / 8 up, w / 16 up) a bit for each surface that is asked
     unmixing: F32Array3,  # (N, 3, 3) see `NeutralLight`
     ambient: F32Array2,  # (N, 3) levels
-    rho: F32Array2,  # (2, bins + 1)
+    rho: F32Array2,  # (2, places)
     read_variance: f32,  # levels^2 of a mean
     noise_gain: f32,  # levels, of a mean
     even: f32,  # standard deviation of a place's contrast, as a fraction, where blur is the usual
@@ -247,30 +262,24 @@ def surface_misfits_kernel(
         bits, first = cells[y // CELL_ROWS, strip], strip * AT_ONCE
         if bits != 0:
             count = ti.min(AT_ONCE, width - first)
-            red, green, blue, sharp = place_lanes(0.0), place_lanes(0.0), place_lanes(0.0), place_lanes(1.0)
-            bare, ring, turn, result, changes = (
-                place_lanes(0.0),
-                place_lanes(0.0),
-                place_lanes(0.0),
-                place_lanes(0.0),
-                place_lanes(0.0),
-            )
+            channels, vectors, sharp = lanes_of_colors(0.0), lanes_of_colors(0.0), place_lanes(1.0)
+            place, ring, turn = place_lanes(0.0), place_lanes(0.0), place_lanes(0.0)
+            result, changes = place_lanes(0.0), place_lanes(0.0)
             for k in range(count):
-                red[k], green[k], blue[k] = light[y, first + k, 0], light[y, first + k, 1], light[y, first + k, 2]
+                set_color(channels, k, channels_at(light, y, first + k, 0))
                 sharp[k] = contrast[y, first + k]
             for surface in range(out.shape[0]):
                 if (bits >> surface) & 1 == 1:
                     inverse, rest = surface_matrix(unmixing, surface), surface_ambient(ambient, surface)
                     for k in range(AT_ONCE):
-                        vector = inverse @ (vec3(red[k], green[k], blue[k]) - rest)
-                        bare[k] = (arctangent(vector.y, vector.x) + np.pi) * ti.static(_BINS / (2 * np.pi))
+                        vector = inverse @ (color_of(channels, k) - rest)
+                        set_color(vectors, k, vector)
+                        place[k] = place_around(vector.x, vector.y)
                     for k in range(AT_ONCE):
-                        place = ti.min(ti.cast(bare[k], ti.i32), _BINS - 1)
-                        ring[k] = sharp[k] * (rho[0, place] + (bare[k] - place) * (rho[0, place + 1] - rho[0, place]))
-                        turn[k] = sharp[k] * rho[1, place]
+                        at = ti.min(ti.cast(place[k], ti.i32), _PLACES - 1)
+                        ring[k], turn[k] = sharp[k] * rho[0, at], sharp[k] * rho[1, at]
                     for k in range(AT_ONCE):
-                        seen = vec3(red[k], green[k], blue[k])
-                        vector = inverse @ (seen - rest)
+                        seen, vector = color_of(channels, k), color_of(vectors, k)
                         swing, size = vector.z * ring[k], ti.max(modulation_of(vector), 1e-9)
                         cosine, sine, turned = vector.x / size, vector.y / size, vector.z * turn[k] / size
                         across = vec3(cosine + sine * turned, sine - cosine * turned, -ring[k]) @ inverse
@@ -279,7 +288,7 @@ def surface_misfits_kernel(
                         uneven = even * even + _LOST_DOUBT * _LOST_DOUBT * lost * lost
                         variance = (across * across).dot(noise) + uneven * swing * swing
                         by_sigma = 1.0 / ti.sqrt(ti.max(variance, 1e-12))
-                        result[k] = ti.select(red[k] > SAYS_NOTHING, (size - swing) * by_sigma, SAYS_NOTHING)
+                        result[k] = ti.select(seen.x > SAYS_NOTHING, (size - swing) * by_sigma, SAYS_NOTHING)
                         changes[k] = swing * by_sigma
                     for k in range(count):
                         out[surface, y, first + k] = result[k]

@@ -77,18 +77,12 @@ def surface_ambient(table: F32Array2, surface: i32) -> vec3:
 
 
 @ti.func
-def without_ambient(light: vec3, ambient: F32Array2, labels: U8Array2, y: i32, x: i32, mixed: Static) -> vec3:
-    """Return a pixel's light without its surface's ambient light; see `Surfaces.mixed`."""
-    rest = light
-    if ti.static(mixed):
-        rest = light - surface_ambient(ambient, surface_at(labels, y, x))
-    return rest
-
-
-@ti.func
-def neutral_light(light: vec3, unmixing: F32Array3, labels: U8Array2, y: i32, x: i32, mixed: Static) -> vec3:
-    """Return what a neutral surface would have sent back in a pixel's stead, given its light without ambient light."""
+def neutral_light(
+    light: vec3, unmixing: F32Array3, ambient: F32Array2, labels: U8Array2, y: i32, x: i32, mixed: Static
+) -> vec3:
+    """Return what a neutral surface would have sent back in a pixel's stead, given its light; see `Surfaces.mixed`."""
     neutral = light
     if ti.static(mixed):
-        neutral = surface_matrix(unmixing, surface_at(labels, y, x)) @ light
+        surface = surface_at(labels, y, x)
+        neutral = surface_matrix(unmixing, surface) @ (light - surface_ambient(ambient, surface))
     return neutral

@@ -34,8 +34,9 @@ from tikernels.launching import kernel
 from tikernels.phase.brightness_ripple import within_cycle
 from tikernels.phase.channel_template import load_harmonics, sharpened_cycle_and_slope
 from tikernels.phase.crosstalk import Crosstalk
-from tikernels.phase.phase_fit import load_nodes, pixel_model
+from tikernels.phase.phase_fit import load_nodes, surface_model
 from tikernels.phase.phase_vector import TINY, color_at
+from tikernels.phase.surfaces import surface_at
 from tikernels.phase.white_level import white_level
 from tikernels.phase.wide_blur import wide_blur
 from tikernels.raw.linearization import LEVEL_TYPES
@@ -121,9 +122,9 @@ def _measure_swing_kernel(mixed: bool, spacing_px: int) -> Any:
             for k in range(STRIP):
                 seen = color_of(light, k)
                 cycle, slope = sharpened_cycle_and_slope(harmonics, angle[k], color_of(sharper, k))
-                x = ti.max(start + k, 0)
-                model, change, swing, rest = pixel_model(
-                    cycle, slope, color_of(colors, k), color_of(ambients, k), mixing, besides, labels, y, x, mixed
+                surface = surface_at(labels, y, ti.max(start + k, 0))
+                model, change, swing, rest = surface_model(
+                    cycle, slope, color_of(colors, k), color_of(ambients, k), surface, mixing, besides, mixed
                 )
                 brightness, by_contrast = solved(seen - rest, model, change, swing)
                 counts[k] = ti.select(seen.max() < clipped, counts[k], 0.0)
@@ -178,12 +179,12 @@ def _light_by_white_kernel(mixed: bool, spacing_px: int) -> Any:
             for k in range(STRIP):
                 seen, color, ambient = color_of(light, k), color_of(colors, k), color_of(ambients, k)
                 cycle, slope = sharpened_cycle_and_slope(harmonics, angle[k], color_of(sharper, k))
-                x = ti.max(start + k, 0)
-                model, change, swing, rest = pixel_model(
-                    cycle, slope, color, ambient, mixing, besides, labels, y, x, mixed
+                surface = surface_at(labels, y, ti.max(start + k, 0))
+                model, change, swing, rest = surface_model(
+                    cycle, slope, color, ambient, surface, mixing, besides, mixed
                 )
-                at_white, _, white_swing, _ = pixel_model(
-                    level, slope, color, ambient, mixing, besides, labels, y, x, mixed
+                at_white, _, white_swing, _ = surface_model(
+                    level, slope, color, ambient, surface, mixing, besides, mixed
                 )
                 more = ti.max(ti.min(deviation[k], _MOST_CONTRAST), -_MOST_CONTRAST)
                 brightness, _ = solved(seen - rest, model, change, swing)

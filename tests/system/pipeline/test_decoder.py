@@ -43,7 +43,7 @@ def test_a_gpu_is_asked_little(arch):
     frame = decoder.decode(truth.image)
     results = frame.unwrapped_phase.nbytes + frame.mask.nbytes
     if arch == "cpu":
-        assert traffic.calls <= 56  # six turns of one kernel, which is compiled in a sixth of the time
+        assert traffic.calls <= 57  # six turns of one kernel, which is compiled in a sixth of the time
     else:
         assert traffic.calls <= 52
         assert traffic.copied_calls <= 2

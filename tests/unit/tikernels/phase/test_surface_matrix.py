@@ -1,7 +1,5 @@
 """A surface's own matrix: predicted from its colour, and fitted to its pixels."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from support.colored_boards import MATRIX, PAINTS, light, surface_matrix
@@ -12,13 +10,14 @@ from tikernels.phase.surface_matrix import (
     NARROW,
     LightDoubt,
     PredictedMatrices,
-    SurfaceSamples,
     band_weights,
     fit_matrices,
     predict_matrices,
-    residuals,
     waves,
 )
+from tikernels.phase.surface_samples import SurfaceSamples
+
+pytestmark = pytest.mark.usefixtures("cpu")
 
 DOUBT = LightDoubt(leak=0.004, contrast=0.2, harmonic=0.0005)
 COLORED = ("orange", "blue", "skin")
@@ -48,7 +47,8 @@ def pixels(
     begin = (phase + off * rng.standard_normal(count))[which]
     shape, share = (len(paints), count), np.full(len(paints), different / count)
     variance, around = np.full(seen.shape, noise**2), np.full(shape, 100.0)
-    return SurfaceSamples(seen, variance, np.tile(begin, (len(paints), 1)), around, np.ones(shape), share, 0.0)
+    places = (seen, variance, np.tile(begin, (len(paints), 1)), around, np.ones(shape))
+    return SurfaceSamples(*(np.ascontiguousarray(part, np.float32) for part in places), share, 0.0)
 
 
 @pytest.mark.parametrize(("bands", "broad"), [(BROAD, 1.0), (NARROW, 0.0), (BETWEEN, 0.15)])
@@ -83,26 +83,19 @@ def test_waves_are_the_light_and_its_slope():
     np.testing.assert_allclose(slope, step, atol=1e-6)
 
 
-def test_blur_takes_more_of_higher_harmonics():
-    """The nth by the power of n^2; a fit that knows it finds what there is."""
-    phase, contrast = np.linspace(-3, 3, 40), np.full(40, 0.9)
-    expected = 1 + sum((0.9**n**2 * LIGHT[:, n - 1, None] * np.exp(1j * n * phase)).real for n in range(1, 5))
-    value, slope = waves(LIGHT, phase, contrast)
-    np.testing.assert_allclose(value, expected, atol=1e-9)
-    step = (waves(LIGHT, phase + 1e-5, contrast)[0] - waves(LIGHT, phase - 1e-5, contrast)[0]) / 2e-5
-    np.testing.assert_allclose(slope, step, atol=1e-6)
-
-
 def fitted(samples: SurfaceSamples, light_off: float = 1.0, bands: np.ndarray = BETWEEN, colors=None, **more):
     colors = samples.light.mean(axis=2) - 6 if colors is None else colors
     prediction = PredictedMatrices.of(colors, MATRIX, bands)
     ambient = np.full((len(samples.light), 3), 5.0)
-    return fit_matrices(samples, prediction, ambient, ambient, LIGHT * light_off, DOUBT, **({"fit_light": True} | more))
+    return fit_matrices(
+        samples, prediction, ambient, ambient, LIGHT * light_off, DOUBT, **({"fit_light": True, "steps": 4} | more)
+    )
 
 
 def test_pixels_tell_the_matrix_better_than_the_colour_does():
     """By the phase that pixels would get: its constant and its ripple, both within 0.01 rad, as is said of them."""
-    result = fitted(pixels(*COLORED))
+    samples = pixels(*COLORED)
+    result = fitted(samples, before=fitted(samples), fit_light=False)
     for paint, matrix, ambient, sigma in zip(
         COLORED, result.matrices, result.ambient, result.constant_sigma, strict=True
     ):
@@ -145,23 +138,6 @@ def test_what_acts_otherwise_costs_more():
     assert fitted(samples).cost < 0.5 * fitted(samples, bands=BROAD).cost
 
 
-def test_surfaces_are_fitted_together():
-    """Lasers obey M diag(rho): a surface of which few pixels are seen learns it from the others."""
-    expected = normalized(surface_matrix(PAINTS["blue"], 0.0))
-    small = pixels("blue", noise=2.0, different=80, broad=0.0)
-    clear = pixels("blue", "orange", "skin", broad=0.0)
-    both = {
-        name: np.concatenate([getattr(small, name), getattr(clear, name)[1:]])
-        for name in ("light", "variance", "phase", "around", "contrast", "share")
-    }
-
-    def off(samples: SurfaceSamples) -> float:
-        colors = np.array([expected.sum(axis=1), *(samples.light[1:].mean(axis=2) - 6)])
-        return float(np.abs(fitted(samples, colors=colors).matrices[0] - expected).max())
-
-    assert off(replace(clear, **both)) < 0.85 * off(small)
-
-
 def test_a_fit_goes_on_where_the_last_one_ended():
     """One step more changes nothing, and a new surface joins those that are known."""
     samples = pixels(*COLORED)
@@ -172,16 +148,12 @@ def test_a_fit_goes_on_where_the_last_one_ended():
     np.testing.assert_allclose(joined.matrices, first.matrices, atol=4e-3)
 
 
-def test_how_predictions_change_with_the_filters_shares():
-    """The derivative of each entry's logarithm by the shares, and the range of log reflectance."""
+def test_how_unsure_predictions_are():
+    """By the range of log reflectance."""
     matrices = np.stack([normalized(surface_matrix(PAINTS[paint])) for paint in COLORED])
     prediction = PredictedMatrices.of(matrices.sum(axis=2), MATRIX, BETWEEN)
-    more = BETWEEN + 0.002 * (BROAD - NARROW)
-    expected = predict_matrices(matrices.sum(axis=2), MATRIX, more) / prediction.matrices - 1
-    np.testing.assert_allclose(0.002 * prediction.by_share.sum(axis=-1), expected, atol=3e-5)
     white = PredictedMatrices.of([MATRIX.sum(axis=1)], MATRIX, BETWEEN)
     assert white.spread == pytest.approx(0, abs=1e-3) and (prediction.spread > 0.3).all()
-    assert np.abs(white.by_share).max() < 1e-3
 
 
 def test_frames_of_a_video_are_averaged():
@@ -201,11 +173,3 @@ def test_a_part_of_the_surfaces():
     np.testing.assert_array_equal(part.matrices, result.matrices[[2, 0]])
     np.testing.assert_array_equal(part.constant_sigma, result.constant_sigma[[2, 0]])
     assert part.light is result.light
-
-
-def test_residuals_are_noise_where_the_matrix_is_right():
-    samples = pixels("orange")
-    right, wrong = surface_matrix(PAINTS["orange"]), surface_matrix(PAINTS["orange"], 1.0)
-    left = residuals(samples, np.stack([normalized(right), normalized(wrong)]), np.full(3, 6.0), LIGHT)
-    assert 0.9 < left[0].std() < 1.1
-    assert left[1].std() > 2
