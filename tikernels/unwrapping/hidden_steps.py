@@ -50,12 +50,12 @@ def on_seam(
         difference = phase[y2, x2] - phase[y, x]
         cycles, departs = cycles_and_departure(difference, rate)
         jump = (label2 & ORDER_MASK) + final[Final.ORDER, draft2] - (label & ORDER_MASK) - final[Final.ORDER, draft]
-        before = brightness[ti.max(y - _BESIDE * dy, 0), ti.max(x - _BESIDE * dx, 0)]
-        far_y, far_x = ti.min(y2 + _BESIDE * dy, phase.shape[0] - 1), ti.min(x2 + _BESIDE * dx, phase.shape[1] - 1)
-        after = brightness[far_y, far_x]
-        goes_on = departs < MAX_DEPARTURE and ti.min(before, after) > _EDGE * ti.max(before, after)
+        goes_on = departs < MAX_DEPARTURE
         if goes_on and jump != cycles and final[Final.REGION, draft] > 0 and final[Final.REGION, draft2] > 0:
-            contradicts = 1
+            before = brightness[ti.max(y - _BESIDE * dy, 0), ti.max(x - _BESIDE * dx, 0)]
+            far_y, far_x = ti.min(y2 + _BESIDE * dy, phase.shape[0] - 1), ti.min(x2 + _BESIDE * dx, phase.shape[1] - 1)
+            after = brightness[far_y, far_x]
+            contradicts = ti.cast(ti.min(before, after) > _EDGE * ti.max(before, after), i32)
     return contradicts
 
 
