@@ -146,4 +146,5 @@ class SurfaceFinder:
         samples = look.surface_samples(light, even, even, weights, ambient, np.ones(2), self._contrast_doubt)
         found = compare_samples(samples, matrices, ambient, known.light, samples.phase)
         after, otherwise = np.median(np.abs(found.residual) / np.sqrt(found.variance), axis=2)[:, 0]
-        return bool(after < otherwise)
+        # Where neither explains the light, within about a standard deviation, other surfaces are looked for.
+        return bool(after < min(otherwise, 1.0))
