@@ -25,8 +25,8 @@ COLUMNS = 16
 _MIN_SHARE = 0.15
 # What is brighter than this share of the brightest is lit; clipped at zero, darker light would show half of its noise.
 _LIT = 0.1
-# Groups of samples, equally bright within each, that tell how the noise grows with the light.
-_NOISE_GROUPS = 8
+# Groups of samples, equally bright within each, that tell how the noise grows with the light, and samples of each.
+_NOISE_GROUPS, _LEAST_GROUP = 8, 200
 # Fourth differences leave out tilted stripes, and pixels two apart what demosaicing makes of their neighbours.
 _DIFFERENCE, _APART_PX = (1, -4, 6, -4, 1), 2
 #: Median of a normal distribution's absolute values, in standard deviations; of their middle fifth the mean is it, too.
@@ -167,7 +167,7 @@ def _noise(
         np.argsort(numbers, kind="stable"), np.cumsum(np.bincount(numbers, minlength=_NOISE_GROUPS))[:-1]
     )
     for group in in_groups:
-        if len(group) >= min(_NOISE_GROUPS, len(light) / _NOISE_GROUPS):
+        if len(group) >= min(_LEAST_GROUP, len(light) / _NOISE_GROUPS):
             # The middle fifth instead of the median: that of whole levels is one or the next.
             first, last = 2 * len(group) // 5, 3 * len(group) // 5
             middle = np.sort(np.abs(changes[group]))[first : last + 1].mean()
@@ -195,13 +195,13 @@ def _period(signal: npt.NDArray[np.complex64]) -> float | None:
     power = (np.abs(np.fft.fft(signal, axis=1)) ** 2).sum(axis=0)
     frequencies = np.arange(1, (height + 1) // 2)
     turning = power[frequencies] - power[-frequencies]
-    # Between two cycles in view and the shortest period that three colours resolve.
-    usable = (frequencies >= 2) & (frequencies * MIN_PERIOD_PX <= height)
+    # Between one cycle and a half in view and the shortest period that three colours resolve.
+    usable = (frequencies >= 1.5) & (frequencies * MIN_PERIOD_PX <= height)
     if not usable.any() or power.sum() <= 0:
         return None
-    smooth = np.abs(np.convolve(turning, [0.5, 1.0, 0.5], "same")) * usable
+    smooth = np.abs(np.convolve(turning, [0.25, 0.5, 0.25], "same")) * usable
     peak = int(frequencies[np.argmax(smooth)])
-    lobe = (2 * frequencies > peak) & (frequencies < 2 * peak) & usable
+    lobe = (frequencies > 0.7 * peak) & (frequencies < 1.4 * peak) & usable
     weights = np.clip(turning[lobe] * np.sign(turning[lobe].sum()), 0, None)
     if weights.sum() < _MIN_SHARE * power.sum():
         return None
