@@ -44,6 +44,8 @@ _SAMPLES = 3000
 _SWING_CYCLES, _SWING_SIGMAS = 0.65, 5.0
 # How far the fringe's change is averaged for its contrast, in nodes.
 _CONTRAST_NODES = 0.7
+# No camera is better than this fraction of its light, or of that of a fiftieth of full scale.
+_LEAST_NOISE, _DARK = 2e-4, 0.02
 
 
 class FirstLook:
@@ -245,6 +247,7 @@ class FirstLook:
         vector = weights.astype(np.float32) @ (channels - ambient[..., None].astype(np.float32))
         bare = np.arctan2(vector[:, 1], vector[:, 0])
         noise = self.levels.read_noise**2 + self.levels.noise_gain * np.maximum(channels, 0)
+        noise += (_LEAST_NOISE * np.maximum(channels, _DARK * self.levels.white)) ** 2
         phase = bare + np.interp(bare, np.linspace(-np.pi, np.pi, len(self.correction)), self.correction)
         found = (channels, noise, phase.astype(np.float32), np.maximum(mean, TINY), sharp)
         return SurfaceSamples(*found, share, contrast_doubt)

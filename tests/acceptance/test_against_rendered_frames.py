@@ -40,6 +40,7 @@ def judged(name: str, *, code: str | None = None, known: bool = True, **settings
     return result
 
 
+@pytest.mark.filterwarnings("ignore:no matrix explains the colours of [1-4]%")  # the eyes' whites: few places tell
 @pytest.mark.parametrize("known", [True, False])
 @pytest.mark.parametrize(("frame", "most"), [("face_plain_clean16", 0.058), ("face_plain", 0.052)])
 def test_skin_before_a_wall(frame, most, known):
