@@ -38,7 +38,7 @@ _BRIGHTEST, _DIM = 0.999, 0.15
 # From this share on, clipped channels cost more than noise does: simulated planes, balls and busts are off by 1.2 times
 # as much at .05, twice as much at .15 and ten times as much at .4.
 _MOST_CLIPPED = 0.1
-# Colours are as a calibration says if they are off by less than this, beside twice what those are that fit best.
+# Colours agree with a calibration if they are off by less than this plus twice the misfit of those that fit best.
 _MISMATCH = 0.02
 # What a frame is that fits the calibration when it is changed so.
 _REVERSED: dict[Key, str] = {

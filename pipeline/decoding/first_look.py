@@ -37,7 +37,7 @@ _COLOR_CYCLES = 0.3
 _SHARP, _LEAST_SHARE = 0.08, 0.05
 # A node tells a colour if this share of its window is lit.
 _FILLED = 0.3
-# About as many samples tell what all of a frame's light has in common.
+# What all of a frame's light has in common is measured on about this many samples.
 _SAMPLES = 3000
 # A fringe swings by twice its modulation over this part of a cycle, in pixels some ten, whose noise alone swings by
 # less than this many standard deviations.

@@ -35,6 +35,7 @@ def numbers(tree: ast.AST, kind: str) -> Iterator[tuple[str, int, float]]:
                 if default is not None:
                     yield from numbers(ast.Expression(default), "default")
             for part in node.body if isinstance(node, ast.FunctionDef) else [node.body]:
+                # A statement is walked as an expression is, whatever the type says.
                 yield from numbers(ast.Expression(part), "literal")  # type: ignore[arg-type]
         elif isinstance(node, ast.Subscript):
             yield from numbers(ast.Expression(node.value), kind)
