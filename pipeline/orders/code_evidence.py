@@ -42,8 +42,9 @@ _FEW = 100
 # may lie elsewhere. It is plain to see where it is likelier by so much a block.
 _SHOWN, _MOST_TRUST, _PLAIN = 6.0, 12.0, 0.25
 # A factor changes from surface to surface of a part: of parts of more blocks than this, what is left of it in so many
-# blocks and rows of patches around each is taken off.
-_FLATTENED, _AROUND = 100, (5, 3)
+# blocks and rows of patches around each is taken off, of those about as bright: of the same class of brightness and
+# those beside it, so many to a factor of two.
+_FLATTENED, _AROUND, _CLASSES = 100, (5, 3), 2
 # From so many cycles off its middle on a cycle is cut, and what its neighbours' levels then count, a cycle: half of
 # what they do for the contrast itself, which the levels have softened.
 _OFF, _OF_NEIGHBOURS = 0.02, 0.6
@@ -128,7 +129,7 @@ class PartBlocks:
     """A part's blocks, as fits read them."""
 
     values: npt.NDArray[np.float32]  # (ROWS, n) see `Row`
-    cells: npt.NDArray[np.int32]  # (2, n) row of patches, and column of blocks, from 0
+    cells: npt.NDArray[np.int32]  # (3, n) row of patches, column of blocks, and class of brightness, from 0
     offsets: Integers  # at which the pattern has their orders
     middle: FloatArray  # (2,) row and column, px
     brightness: float  # usual, levels
@@ -205,7 +206,8 @@ class CodeReader:
         values[Row.OFF] = _of_neighbours(blocks.off[which])
         values[Row.ORDER] = np.where(np.isfinite(columns[:, 0]), blocks.order[which], _NO_ORDER)
         values[Row.COLUMN :] = np.nan_to_num(columns).T / np.float32(self.code.repeats_px)
-        cells = (place / (CELL_HEIGHT, BLOCK_WIDTH)).T.astype(np.int32, order="C")
+        along_grid = np.column_stack([place / (CELL_HEIGHT, BLOCK_WIDTH), _CLASSES * np.log2(brightness)])
+        cells = np.floor(along_grid).T.astype(np.int32, order="C")
         return PartBlocks(values, cells - cells.min(axis=1, keepdims=True), self.offsets(which), middle, usual)
 
     def fit(self, which: Integers, offset: int) -> Factor:

@@ -44,8 +44,6 @@ _ROUNDS, _HALVINGS = 3, 10
 LEVELS = 8
 #: In place of a response's number: as if all blocks showed the same level, or each one by itself.
 EVEN = -1
-# At most so much of what is left of a block counts as its surroundings'.
-_MOST_LOCAL = 0.2
 # Farther than any contrast, and a difference of two that is none.
 _FAR, _LEAST = 1e6, 1e-5
 
@@ -269,7 +267,7 @@ def plane_at(values: Static, terms: Static, f: i32, n: i32) -> f32:
 @kernel
 def flatten_kernel(
     values: F32Array2,  # (ROWS, n) see `Row`
-    cells: I32Array2,  # (2, n) row and column
+    cells: I32Array2,  # (3, n) row, column and class of brightness
     levels: F32Array3,  # (responses, cycles, places) the code's
     offsets: I32Array1,  # (K,)
     terms: F32Array2,  # (K, 4) of the factors
@@ -278,23 +276,22 @@ def flatten_kernel(
     reach_down: i32,
     reach_right: i32,
     step: i32,  # of so many blocks one is wanted
-    sums: F32Array3,  # (2, K, (rows + 1) (columns + 1)) to work with
+    sums: F32Array3,  # (2 classes, K, (rows + 1) (columns + 1)) to work with
     out: F32Array2,  # (K, wanted)
 ):
     """Take off the blocks' contrasts what the factor, and the blocks around, are off the code."""
     for f in range(offsets.shape[0]):
         line = sums.shape[2] // (rows + 1)
-        for cell in range(sums.shape[2]):
-            sums[0, f, cell], sums[1, f, cell] = 0.0, 0.0
+        for k, cell in ti.ndrange(sums.shape[0], sums.shape[2]):
+            sums[k, f, cell] = 0.0
         for n in range(values.shape[1]):
             expected = terms[f, 0] + plane_at(values, terms, f, n)
             expected += expected_level(values, levels, n, response, offsets[f], 0.0)
-            depart = ti.max(ti.min(values[Row.LEVEL, n] - expected, _MOST_LOCAL), -_MOST_LOCAL)
             cell = (cells[0, n] + 1) * line + cells[1, n] + 1
-            add_alone(sums[0, f, cell], depart)
-            add_alone(sums[1, f, cell], 1.0)
+            add_alone(sums[2 * cells[2, n], f, cell], values[Row.LEVEL, n] - expected)
+            add_alone(sums[2 * cells[2, n] + 1, f, cell], 1.0)
         # Of all cells above and to the left: four places give a window's sum.
-        for k, row in ti.ndrange(2, (1, rows + 1)):
+        for k, row in ti.ndrange(sums.shape[0], (1, rows + 1)):
             total = 0.0
             for cell in range(row * line + 1, (row + 1) * line):
                 total += sums[k, f, cell]
@@ -304,9 +301,10 @@ def flatten_kernel(
             top, bottom = ti.max(cells[0, n] - reach_down, 0), ti.min(cells[0, n] + reach_down + 1, rows)
             left, right = ti.max(cells[1, n] - reach_right, 0), ti.min(cells[1, n] + reach_right + 1, line - 1)
             around = vec2(0.0)
-            for k in ti.static(range(2)):
-                around[k] = sums[k, f, bottom * line + right] - sums[k, f, bottom * line + left]
-                around[k] -= sums[k, f, top * line + right] - sums[k, f, top * line + left]
+            for c in range(ti.max(cells[2, n] - 1, 0), ti.min(cells[2, n] + 2, sums.shape[0] // 2)):
+                for k in ti.static(range(2)):
+                    around[k] += sums[2 * c + k, f, bottom * line + right] - sums[2 * c + k, f, bottom * line + left]
+                    around[k] -= sums[2 * c + k, f, top * line + right] - sums[2 * c + k, f, top * line + left]
             out[f, m] = values[Row.LEVEL, n] - plane_at(values, terms, f, n) - around[0] / around[1]
 
 
@@ -379,14 +377,15 @@ def flatten(
 ) -> npt.NDArray[np.float32]:
     """Return the levels of a part's blocks as if its factor were the same all over.
 
-    What those around each block are off the code on the mean is taken off, too.
+    What those around each block that are about as bright are off the code on the mean is taken off, too: another paint
+    has a factor of its own.
 
     Parameters
     ----------
     values : (ROWS, n) float32
         The blocks; see `Row`.
-    cells : (2, n) int32
-        Row and column of each, from 0.
+    cells : (3, n) int32
+        Row, column and class of brightness of each, from 0; classes side by side are about as bright.
     offsets : (K,) int
         Whole cycles that the orders lack: each is taken for the part's.
     terms : (4, K) float
@@ -404,8 +403,8 @@ def flatten(
     -------
     (K, wanted) float32
     """
-    rows, columns = (int(places.max()) + 1 for places in cells)
-    sums = runtime.empty((2, len(offsets), (rows + 1) * (columns + 1)), np.float32)
+    rows, columns, classes = (int(places.max()) + 1 for places in cells)
+    sums = runtime.empty((2 * classes, len(offsets), (rows + 1) * (columns + 1)), np.float32)
     out = np.empty((len(offsets), -(-values.shape[1] // step)), np.float32)
     at_each = offsets.astype(np.int32), np.ascontiguousarray(terms.T, np.float32)
     flatten_kernel(values, cells, levels, *at_each, response, rows, *reach, step, sums, out)

@@ -6,8 +6,9 @@ phase of the other surface goes on over many pixels, too, but the orders step by
 So does the brightness: where it has an edge the border of the surfaces is seen, and lies between the cells.
 """
 
-from tikernels._taichi import F32Array2, I32Array2, Static, f32, i32, ti
+from tikernels._taichi import F32Array2, I32Array2, Static, f32, i32, ti, vec3, vec4
 from tikernels.launching import kernel
+from tikernels.phase.phase_vector import TINY
 from tikernels.phase.smoothing import MAX_DEPARTURE
 from tikernels.unwrapping.continuity import cycles_and_departure, frame_rates
 from tikernels.unwrapping.tables import (
@@ -24,9 +25,24 @@ from tikernels.unwrapping.tables import (
 #: From this many pixels on a cell's border, those on its shorter sides counted double, a seam is none by chance: a step
 #: that crosses the border shows two or three.
 MIN_SEAM_PX = 6
-# Where brightness changes by more than this factor over a cell's border, from so many px before its last one to as many
-# after its first one (an edge is as wide as blur), the surface ends there, and hides no step.
-_EDGE, _BESIDE = 0.9, 2
+# Where brightness changes by more than this factor over so many px across a cell's border (an edge is as wide as blur),
+# and by more than over as many beside them, as shading does not, the surface ends there, and hides no step.
+_EDGE, _EDGE_PX = 0.9, 5
+
+
+@ti.func
+def has_edge(brightness: F32Array2, y: i32, x: i32, dy: Static, dx: Static) -> i32:
+    """Whether brightness has an edge between a pixel and the next: across it changes by more than beside it."""
+    seen = vec4(0.0)
+    for k in ti.static(range(4)):
+        away = ti.static((2 * k - 3) * _EDGE_PX // 2 + 1)
+        y2 = ti.max(ti.min(y + away * dy, brightness.shape[0] - 1), 0)
+        x2 = ti.max(ti.min(x + away * dx, brightness.shape[1] - 1), 0)
+        seen[k] = brightness[y2, x2]
+    change = vec3(0.0)
+    for k in ti.static(range(3)):
+        change[k] = ti.min(seen[k], seen[k + 1]) / ti.max(seen[k], seen[k + 1], TINY)
+    return ti.cast(change[1] < ti.min(_EDGE, change[0], change[2]), i32)
 
 
 @ti.func
@@ -52,10 +68,7 @@ def on_seam(
         jump = (label2 & ORDER_MASK) + final[Final.ORDER, draft2] - (label & ORDER_MASK) - final[Final.ORDER, draft]
         goes_on = departs < MAX_DEPARTURE
         if goes_on and jump != cycles and final[Final.REGION, draft] > 0 and final[Final.REGION, draft2] > 0:
-            before = brightness[ti.max(y - _BESIDE * dy, 0), ti.max(x - _BESIDE * dx, 0)]
-            far_y, far_x = ti.min(y2 + _BESIDE * dy, phase.shape[0] - 1), ti.min(x2 + _BESIDE * dx, phase.shape[1] - 1)
-            after = brightness[far_y, far_x]
-            contradicts = ti.cast(ti.min(before, after) > _EDGE * ti.max(before, after), i32)
+            contradicts = 1 - has_edge(brightness, y, x, dy, dx)
     return contradicts
 
 

@@ -87,19 +87,21 @@ def test_as_the_twin(arch):
 def test_six_pixels_make_a_seam(arch):
     """Two cells side by side on one plane, the right one's orders a cycle off: only from six border pixels on.
 
-    Where the cells differ in brightness the surface ends between them, and no step hides in either.
+    Where the cells differ in brightness the surface ends between them, and no step hides in either; shading is no edge.
     """
     phase = np.zeros((CELL_HEIGHT, 2 * CELL_WIDTH), np.float32)
     rates = np.zeros((1, 5), np.float32)
     even = np.ones_like(phase)
     edge = np.where(np.arange(2 * CELL_WIDTH) < CELL_WIDTH, even, 1.3).astype(np.float32)
+    shaded = np.exp(-0.003 * np.arange(2 * CELL_WIDTH) ** 2 * even).astype(np.float32)
     for count in (5, 6, CELL_HEIGHT):
         labels = np.full(phase.shape, ORDER_ZERO, np.int32)
         labels[:, CELL_WIDTH:] = -1
         labels[:count, CELL_WIDTH:] = (1 << 6) + ORDER_ZERO + 1
         final, seams = np.array([[1, 1], [-ORDER_ZERO, -ORDER_ZERO], [0, 0]], np.int32), np.zeros((2, 2), np.int32)
-        mark_hidden_steps_kernel(phase, even, rates, labels, seams, final)
-        np.testing.assert_array_equal(final[Final.STEPS] == HIDES_STEP, count >= 6)
-        final[Final.STEPS] = 0
+        for brightness in (even, shaded):
+            mark_hidden_steps_kernel(phase, brightness, rates, labels, seams, final)
+            np.testing.assert_array_equal(final[Final.STEPS] == HIDES_STEP, count >= 6)
+            final[Final.STEPS] = 0
         mark_hidden_steps_kernel(phase, edge, rates, labels, seams, final)
         assert (final[Final.STEPS] == 0).all()
