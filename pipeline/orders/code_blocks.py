@@ -57,9 +57,12 @@ class Blocks:
     block: Integers  # (M,) a block
     patch: Integers  # (M,) a patch that holds some of it
     share: FloatArray  # (M,) how much
+    ripple: FloatArray  # (2,) cosine and sine of three times the phase that the contrast's logarithm had
 
 
-def read_blocks(sums: npt.NDArray[np.float32], graph: PatchGraph, width: int, noise: float) -> Blocks:
+def read_blocks(
+    sums: npt.NDArray[np.float32], graph: PatchGraph, width: int, noise: float, ripple: FloatArray | None = None
+) -> Blocks:
     """Put together what the patches of a part show of each cycle, and keep what is enough of one.
 
     Parameters
@@ -72,6 +75,8 @@ def read_blocks(sums: npt.NDArray[np.float32], graph: PatchGraph, width: int, no
         The image's, px.
     noise : float
         Standard deviation of a channel, levels.
+    ripple : (2,) float, optional
+        The ripple, if the frame's blocks were read before; see `Blocks`.
     """
     piece = np.flatnonzero(sums[..., TOTAL] > 0)
     patch = piece // (ORDER_SLOTS * BLOCKS)
@@ -95,7 +100,8 @@ def read_blocks(sums: npt.NDArray[np.float32], graph: PatchGraph, width: int, no
     shown = np.minimum(total[:, MODULATION], total[:, BACKGROUND]) > 0
     mean = total / weight[:, None]
     contrast = np.log(np.where(shown, total[:, MODULATION], 1.0) / np.where(shown, total[:, BACKGROUND], 1.0))
-    contrast -= mean[:, [COSINE, SINE]] @ _ripple(values, of, mean, contrast)
+    ripple = _ripple(values, of, mean, contrast) if ripple is None else ripple
+    contrast -= mean[:, [COSINE, SINE]] @ ripple
     full = _full_weight(weight, root, order, column)
     contrast += _BLUR / full**2
     shown &= (weight >= _MIN_WEIGHT) & (weight > _MIN_SHARE * full)
@@ -107,7 +113,7 @@ def read_blocks(sums: npt.NDArray[np.float32], graph: PatchGraph, width: int, no
     number = np.where(shown, np.cumsum(shown) - 1, -1)[of]
     held = number >= 0
     share = values[held, TOTAL] / weight[of[held]]
-    return Blocks(root[shown], order[shown], place[shown], *seen, number[held], patch[held], share)
+    return Blocks(root[shown], order[shown], place[shown], *seen, number[held], patch[held], share, ripple)
 
 
 def _ripple(values: FloatArray, of: Integers, mean: FloatArray, contrast: FloatArray) -> FloatArray:

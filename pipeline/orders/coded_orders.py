@@ -76,39 +76,37 @@ def find_absolute_orders(
         What else is known of the orders.
     """
 
-    def reader_of(graph: PatchGraph) -> CodeReader:
-        return CodeReader(read_blocks(sums, graph, width, noise), code, columns)
-
-    reader = reader_of(graph)
+    blocks = read_blocks(sums, graph, width, noise)
+    reader = CodeReader(blocks, code, columns)
     readable = reader.learn()
     elsewhere = None if reader.is_plain and not reader.is_far else reader.shift_anywhere()
     if readable and not reader.is_far and elsewhere is not None and code.cell_px is not None:
         elsewhere = elsewhere if abs(elsewhere - reader.shift_px) > code.cell_px else None  # it was found here
     if elsewhere is not None or readable is False or reader.is_far:
         return _unread(graph, order_range if elsewhere is None else None, elsewhere)
+
+    def read_again(roots: npt.NDArray[np.int32]) -> CodeReader:
+        return reader.again(read_blocks(sums, graph._replace(root=roots), width, noise, blocks.ripple))
+
     roots, main = cut_regions(reader, graph, width, order_range)
     if (main >= 0).any():
-        reader = reader.again(reader_of(graph._replace(root=roots)))
+        reader = read_again(roots)
     parts, read, posteriors = _placed(reader, graph, width, roots, main)
-    if (main >= 0).any():
-        roots = _rejoined(roots, main, graph, dict(zip(parts.tolist(), read, strict=True)), posteriors)
-        reader = reader.again(reader_of(graph._replace(root=roots)))
+    rejoined = _rejoined(roots, main, graph, dict(zip(parts.tolist(), read, strict=True)), posteriors)
+    if (rejoined != roots).any():
+        reader, roots = read_again(rejoined), rejoined
         parts, read, posteriors = _placed(reader, graph, width, roots, main)
     lacks, errors = np.zeros(len(roots), np.int64), np.ones(len(roots))
     for part, posterior in zip(parts, posteriors, strict=True):
         lacks[part], errors[part] = posterior.best, posterior.error(posterior.best)
     settled = settle_borders(reader, graph, roots, lacks[roots], errors[roots])
-    if (settled.roots != roots).any():
-        standing = _standing(settled.roots, graph)
-        roots, main = standing[settled.roots], np.where(main >= 0, standing[main], -1)
-        graph = graph._replace(offset=(graph.offset + settled.shifts).astype(np.int32))
-        if order_range is not None:
-            least, most = order_range.least - settled.shifts, order_range.most - settled.shifts
-            order_range = replace(order_range, least=least, most=most)
-        reader = reader.again(reader_of(graph._replace(root=roots)))
-        parts, read, posteriors = _placed(reader, graph, width, roots, main)
+    standing = _standing(settled.roots, graph)
+    roots, parts = standing[settled.roots], standing[parts]
+    sort = np.argsort(parts)
+    parts, posteriors = parts[sort], [posteriors[k] for k in sort]
     if order_range is not None:
-        ranges = order_range.by_part(roots, parts, graph.pixels)
+        least, most = order_range.least - settled.shifts, order_range.most - settled.shifts
+        ranges = replace(order_range, least=least, most=most).by_part(roots, parts, graph.pixels)
         posteriors = [
             within.narrow(posterior) if posterior is not NOTHING_KNOWN else within.alone()
             for within, posterior in zip(ranges, posteriors, strict=True)
