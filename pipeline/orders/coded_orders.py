@@ -75,7 +75,6 @@ def find_absolute_orders(
     order_range : OrderRange, optional
         What else is known of the orders.
     """
-
     blocks = read_blocks(sums, graph, width, noise)
     reader = CodeReader(blocks, code, columns)
     readable = reader.learn()
@@ -101,9 +100,8 @@ def find_absolute_orders(
         lacks[part], errors[part] = posterior.best, posterior.error(posterior.best)
     settled = settle_borders(reader, graph, roots, lacks[roots], errors[roots])
     standing = _standing(settled.roots, graph)
-    roots, parts = standing[settled.roots], standing[parts]
-    sort = np.argsort(parts)
-    parts, posteriors = parts[sort], [posteriors[k] for k in sort]
+    roots, sort = standing[settled.roots], np.argsort(standing[parts])
+    parts, posteriors = standing[parts][sort].astype(np.int64), [posteriors[k] for k in sort]
     if order_range is not None:
         least, most = order_range.least - settled.shifts, order_range.most - settled.shifts
         ranges = replace(order_range, least=least, most=most).by_part(roots, parts, graph.pixels)

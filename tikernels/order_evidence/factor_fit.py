@@ -29,6 +29,7 @@ from tikernels._taichi import (
     vec4,
     vec32,
 )
+from tikernels.arrays import F32
 from tikernels.launching import kernel
 from tikernels.unwrapping.tables import add_alone
 
@@ -76,6 +77,8 @@ class Fitted(NamedTuple):
     """(K,) under EVEN the same if each block, or cycle, has a level by itself; else 0."""
     terms: npt.NDArray[np.float64]
     """(4, K) of the factor: how much of 1, and of those in `Row`."""
+    departs: F32
+    """(K, n) what the fit leaves of the blocks."""
 
 
 @ti.func
@@ -364,7 +367,7 @@ def fit_factors(
         out,
     )
     likelihood, other, *terms = out.T.astype(np.float64)
-    return Fitted(likelihood, other, np.array(terms))
+    return Fitted(likelihood, other, np.array(terms), departs)
 
 
 def flatten(
