@@ -19,6 +19,7 @@ from tikernels._taichi import (
     I32Array2,
     Vec16Array1,
     Vec16Array2,
+    Vec16Array3,
     f32,
     i32,
     ti,
@@ -47,11 +48,10 @@ def weigh_offsets_kernel(
     code: F32Array2,  # (cycles, places) the code's levels
     first_offset: i32,
     most: f32,  # what a block may deviate by, in standard deviations
-    out_squares: Vec16Array2,  # (P, groups of offsets); 0 to begin with
-    out_departs: Vec16Array2,  # (P, groups)
+    out_sums: Vec16Array3,  # (P, groups of offsets, 2) see `OffsetEvidence`; 0 to begin with
 ):
     """Sum up by how much the blocks deviate from the code, and the squares of that."""
-    for group in range(out_squares.shape[1]):
+    for group in range(out_sums.shape[1]):
         for m in range(block.shape[0]):
             n = block[m]
             square, depart = vec16(most * most), vec16(0.0)
@@ -63,8 +63,8 @@ def weigh_offsets_kernel(
                 place = ti.max(ti.min(place, code.shape[1] - 1), 0)  # not a number where nothing is met
                 depart[k] = ti.max(ti.min((level[n] - code[first + k, place]) / sigma[n], most), -most)
                 square[k] = depart[k] * depart[k]
-            add_alone(out_squares[patch[m], group], share[m] * square)
-            add_alone(out_departs[patch[m], group], share[m] * depart)
+            add_alone(out_sums[patch[m], group, 0], share[m] * square)
+            add_alone(out_sums[patch[m], group, 1], share[m] * depart)
 
 
 @kernel
@@ -137,10 +137,8 @@ class Links(NamedTuple):
 class OffsetEvidence(NamedTuple):
     """What the blocks of each patch say of each offset."""
 
-    squares: npt.NDArray[np.float32]
-    """(P, groups, LANES) squared deviations from the code, in variances."""
-    departs: npt.NDArray[np.float32]
-    """(P, groups, LANES) deviations, in standard deviations."""
+    sums: npt.NDArray[np.float32]
+    """(P, groups, 2, LANES) squared deviations from the code, in variances, and deviations, in standard deviations."""
     weight: npt.NDArray[np.float32]
     """(P,) as how many blocks they count."""
     offsets: int
@@ -148,7 +146,7 @@ class OffsetEvidence(NamedTuple):
 
     def of(self, offsets: npt.NDArray[np.integer]) -> npt.NDArray[np.float32]:
         """Return the squared deviations (P, n) at some offsets, counted from the first one."""
-        return np.ascontiguousarray(self.squares.reshape(len(self.squares), -1)[:, offsets])
+        return np.ascontiguousarray(self.sums[:, offsets // LANES, 0, offsets % LANES])
 
 
 def weigh_offsets(
@@ -185,13 +183,13 @@ def weigh_offsets(
     most : float
         What a block may deviate by, in standard deviations; by so much does one outside the code.
     """
-    sums = np.zeros((2, count, _groups(len(offsets)), LANES), np.float32)
+    sums = np.zeros((count, _groups(len(offsets)), 2, LANES), np.float32)
     block, patch = (np.ascontiguousarray(numbers, np.int32) for numbers in held[:2])
     share = held[2].astype(np.float32)
     seen = (np.ascontiguousarray(order, np.int32), level.astype(np.float32), sigma.astype(np.float32))
     expected = np.ascontiguousarray(columns, np.float32), np.ascontiguousarray(code, np.float32)
-    weigh_offsets_kernel(block, patch, share, *seen, *expected, offsets.start, most, sums[0], sums[1])
-    return OffsetEvidence(sums[0], sums[1], np.bincount(patch, share, count).astype(np.float32), len(offsets))
+    weigh_offsets_kernel(block, patch, share, *seen, *expected, offsets.start, most, sums)
+    return OffsetEvidence(sums, np.bincount(patch, share, count).astype(np.float32), len(offsets))
 
 
 def pool_evidence(
