@@ -1,6 +1,7 @@
 """Keep the orders of the frame before, region by region: an object keeps its depth while it moves."""
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Self
 
 import numpy as np
@@ -71,22 +72,25 @@ class CarriedOrders:
         places : (2, N) int
             Their rows and columns.
         """
-        if len(self.roots) == 0:
-            return self
-        vote = np.flatnonzero(votes[:, SOUND])
-        region = np.minimum(np.searchsorted(self.roots, roots[votes[vote, PATCH]]), len(self.roots) - 1)
-        agrees = self.roots[region] == roots[votes[vote, PATCH]]
-        agrees &= votes[vote, LACKING] == self.offsets[region]
-        vote, region = vote[agrees], region[agrees]
-        here = np.stack([np.ones(len(vote)), places[1][vote], places[0][vote]])
-        change = 2 * np.pi * (expected[vote] - votes[vote, REST] / RESTS_A_CYCLE)
-        count = len(self.roots)
-        fit = _fitted_planes(region, here, change, count)
-        near = np.abs(change - (fit[region].T * here).sum(axis=0)) < _SAME_CHANGE
-        voters, alike = np.bincount(region, minlength=count), np.bincount(region[near], minlength=count)
-        fit = _fitted_planes(region[near], here[:, near], change[near], count)
-        moves = (alike >= _MIN_ALIKE * voters) & (alike >= _MIN_MOVING)
-        return replace(self, change=np.where(moves[:, None], fit, 0))
+        number = np.full(len(roots), -1)
+        number[self.roots] = np.arange(len(self.roots))
+        region = number[roots[votes[:, PATCH]]]
+        agrees = np.flatnonzero((region >= 0) & (votes[:, SOUND] == 1))
+        agrees = agrees[votes[agrees, LACKING] == self.offsets[region[agrees]]]
+        here = np.stack([np.ones(len(agrees)), places[1][agrees], places[0][agrees]])
+        gained = 2 * np.pi * (expected[agrees] - votes[agrees, REST] / RESTS_A_CYCLE)
+        sort = np.argsort(region[agrees], kind="stable")
+        ends = np.searchsorted(region[agrees[sort]], np.arange(len(self.roots) + 1))
+        change = np.zeros((len(self.roots), 3))
+        for k, (first, last) in enumerate(pairwise(ends)):
+            within = sort[first:last]
+            least = max(_MIN_MOVING, _MIN_ALIKE * len(within))
+            if len(within) >= least:
+                plane = _fitted_plane(here[:, within], gained[within])
+                near = within[np.abs(gained[within] - plane @ here[:, within]) < _SAME_CHANGE]
+                if len(near) >= least:
+                    change[k] = _fitted_plane(here[:, near], gained[near])
+        return replace(self, change=change)
 
     def with_neighbours(self, parts: npt.NDArray[np.int32], beside: npt.NDArray[np.int32]) -> Self:
         """Let parts that nothing carries keep their orders relative to the part that they go on with most; unsure.
@@ -115,14 +119,9 @@ class CarriedOrders:
         )
 
 
-def _fitted_planes(group: npt.NDArray[np.int64], here: FloatArray, values: FloatArray, count: int) -> FloatArray:
-    """Return (count, 3): constant and slopes of the plane that fits each group's (n,) values at (3, n) places best."""
-    normal, right = np.empty((count, 3, 3)), np.empty((count, 3, 1))
-    for i, a in enumerate(here):
-        right[:, i, 0] = np.bincount(group, a * values, count)
-        for j, b in enumerate(here[: i + 1]):
-            normal[:, i, j] = normal[:, j, i] = np.bincount(group, a * b, count)
-    return np.asarray(np.linalg.solve(normal + _PLANE_PRIOR, right)[..., 0])
+def _fitted_plane(here: FloatArray, values: FloatArray) -> FloatArray:
+    """Return (3,): constant and slopes of the plane that fits values (n,) at places (3, n), the first 1, best."""
+    return np.asarray(np.linalg.solve(here @ here.T + _PLANE_PRIOR, here @ values))
 
 
 def choose_motion(
