@@ -101,24 +101,26 @@ def measure_contrast_kernel(mixed: bool) -> Any:
                 for slot in range(ORDER_SLOTS):
                     for k in range(SUMS * BLOCKS):
                         out_sums[patch, slot, k] = 0.0
+            # Within a cell the gains hardly change: along its middle column as in a straight line.
+            middle = (left + right) // 2
+            first = means * gain_at(gains, spacing_px, top, middle)
+            change = (means * gain_at(gains, spacing_px, bottom, middle) - first) / (bottom - top)
             # Down a column a cycle's pixels follow each other.
             for x in range(left, right):
                 block = (x - left) // BLOCK_WIDTH
-                label, sums, background = NOTHING, vec6(0.0), vec3(0.0)
+                label, sums = NOTHING, vec6(0.0)
                 for y in range(top, bottom):
-                    if y & 3 == 0:  # one gain serves four rows of a cell
-                        gain = gain_at(gains, spacing_px, y + 2, (left + right) // 2)
-                        background = means * gain
-                    if labels[y, x] != label:
+                    here = labels[y, x]
+                    if here != label:
                         add_cycle(label, sums, block, cells, draft_bits, out_sums)
-                        label, sums = labels[y, x], vec6(0.0)
+                        label, sums = here, vec6(0.0)
                     if label >= 0:
                         channels = neutral_light(color_at(image, y, x), unmixing, besides, surface_labels, y, x, mixed)
-                        light = background.dot(channels)
-                        ripple = 1.5 / PI * phase[y, x]
-                        wave = cosine(ripple), cosine(ripple - 0.25)
-                        seen = vec6(1.0, modulation[y, x], light, phase[y, x], wave[0], wave[1])
-                        sums += cycle_weight(phase[y, x]) * seen
+                        light = (first + (y - top) * change).dot(channels)
+                        angle = phase[y, x]
+                        ripple = 1.5 / PI * angle
+                        seen = vec6(1.0, modulation[y, x], light, angle, cosine(ripple), cosine(ripple - 0.25))
+                        sums += cycle_weight(angle) * seen
                 add_cycle(label, sums, block, cells, draft_bits, out_sums)
 
     return measure_contrast
