@@ -175,10 +175,11 @@ def settle_borders(
                     before[held[moved]] = after
     for part, other, change, seeds in _going_on(borders, orders, roots, _SIDE_PX):
         if parts.known(part, other):
-            asked = np.isin(np.arange(count), seeds)
+            asked = np.zeros(count, np.bool_)
+            asked[seeds] = True
             torn |= asked & (parts.compare(asked, other, orders - graph.offset + change)[2] < _UNDECIDED)
     touching = (roots[borders.ends[0]] != roots[borders.ends[1]]) & (borders.going_on > _SOME_PX)
-    beside = np.isin(np.arange(count), borders.ends[:, touching])
+    beside = np.bincount(borders.ends[:, touching].ravel(), minlength=count) > 0
     contradicted = np.bincount(blocks.patch, own.cost(), count) > 0.5 * _CONTRADICTS * _COUNTS * shown
     torn |= beside & (shown > _WELL_SHOWN) & contradicted
     known = errors[roots] < MAX_ABSOLUTE_ERROR

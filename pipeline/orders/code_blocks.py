@@ -123,9 +123,9 @@ def _ripple(values: FloatArray, of: Integers, mean: FloatArray, contrast: FloatA
     """
     counts = values[:, TOTAL] > _MIN_PIECE
     counts &= np.minimum(values[:, MODULATION], values[:, BACKGROUND]) > 0
-    piece = values[counts]
-    departs = np.log(piece[:, MODULATION] / piece[:, BACKGROUND]) - contrast[of[counts]]
-    waves = piece[:, [COSINE, SINE]] / piece[:, TOTAL, None] - mean[of[counts]][:, [COSINE, SINE]]
+    piece, of = values[counts], of[counts]
+    departs = np.log(piece[:, MODULATION] / piece[:, BACKGROUND]) - contrast[of]
+    waves = piece[:, [COSINE, SINE]] / piece[:, TOTAL, None] - mean[:, [COSINE, SINE]][of]
     usual = (np.abs(departs) < _MOST_RIPPLE) & (np.abs(waves).sum(axis=1) > 1e-6)
     departs, waves, weights = departs[usual], waves[usual], piece[usual, TOTAL, None]
     return np.linalg.solve((waves * weights).T @ waves + _RIPPLE_DOUBT * np.eye(2), (waves * weights).T @ departs)
@@ -136,8 +136,8 @@ def _full_weight(weight: FloatArray, root: Integers, order: Integers, column: np
     if len(weight) == 0:
         return np.zeros(0)
     rows, row = np.unique(root * (np.ptp(order) + 1) + order, return_inverse=True)
-    grid = np.zeros((len(rows), column.max() + 1), np.float32)
-    np.maximum.at(grid, (row, column), weight)
+    grid, rising = np.zeros((len(rows), column.max() + 1), np.float32), np.argsort(weight)
+    grid[row[rising], column[rising]] = weight[rising]  # of several the largest stays
     beside = cv2.dilate(grid, np.ones((1, _NEAR_BLOCKS), np.uint8))
     around = cv2.dilate(beside, np.ones((3, 1), np.uint8))
     # A cycle that a surface's edge cuts all along is as long as the next one.
