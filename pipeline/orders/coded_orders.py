@@ -31,6 +31,8 @@ from tikernels.unwrapping.patches import MIN_REGION_PX, PatchGraph
 # How probably a piece that the labels have cut off, which hangs together with its region, has that one's orders before
 # its own blocks are asked; and from which probability on it is no piece of its own.
 _SAME_SURFACE = 0.9
+# Which share of a part's pixels may have moved before the part is read anew.
+_MOST_MOVED = 0.1
 
 
 @dataclass(frozen=True)
@@ -99,9 +101,13 @@ def find_absolute_orders(
     for part, posterior in zip(parts, posteriors, strict=True):
         lacks[part], errors[part] = posterior.best, posterior.error(posterior.best)
     settled = settle_borders(reader, graph, roots, lacks[roots], errors[roots])
-    standing = _standing(settled.roots, graph)
-    roots, sort = standing[settled.roots], np.argsort(standing[parts])
-    parts, posteriors = standing[parts][sort].astype(np.int64), [posteriors[k] for k in sort]
+    graph = graph._replace(offset=(graph.offset + settled.shifts).astype(np.int32))
+    before, roots = roots, settled.roots
+    if _much_moved(before, roots, graph):
+        standing = _standing(roots, graph)
+        roots, main = standing[roots], np.where(main >= 0, standing[main], -1)
+        reader = read_again(roots)
+        parts, _, posteriors = _placed(reader, graph, width, roots, main)
     if order_range is not None:
         least, most = order_range.least - settled.shifts, order_range.most - settled.shifts
         ranges = replace(order_range, least=least, most=most).by_part(roots, parts, graph.pixels)
@@ -154,6 +160,14 @@ def _placed(
             certain = 1 - region.error(region.best)
             posteriors[k] = posteriors[k].beside(region.best, _SAME_SURFACE * certain)
     return parts, read, posteriors
+
+
+def _much_moved(before: npt.NDArray[np.int32], roots: npt.NDArray[np.int32], graph: PatchGraph) -> bool:
+    """Return whether so much of a part is now another one's, or its root is, that its posterior no longer holds."""
+    moved = before != roots
+    ends, px = np.append(before[moved], roots[moved]), np.tile(graph.pixels[moved], 2)
+    much = np.bincount(ends, px, len(roots)) > _MOST_MOVED * np.bincount(before, graph.pixels, len(roots))
+    return bool(much.any() or (roots[roots] != roots).any())
 
 
 def _standing(roots: npt.NDArray[np.int32], graph: PatchGraph) -> npt.NDArray[np.int32]:

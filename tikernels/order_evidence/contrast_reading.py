@@ -48,13 +48,6 @@ SUMS = 6
 
 
 @ti.func
-def cycle_weight(phase: f32) -> f32:
-    """How much a pixel counts for its cycle's contrast."""
-    inside = 1.0 - phase * phase / (PI * PI)
-    return inside * inside
-
-
-@ti.func
 def cosine(turns: f32) -> f32:
     """Cosine of a whole turn's fraction, to two hundredths: a smooth step from crest to trough."""
     half = 2.0 * ti.abs(turns - ti.round(turns))
@@ -118,9 +111,9 @@ def measure_contrast_kernel(mixed: bool) -> Any:
                         channels = neutral_light(color_at(image, y, x), unmixing, besides, surface_labels, y, x, mixed)
                         light = (first + (y - top) * change).dot(channels)
                         angle = phase[y, x]
-                        ripple = 1.5 / PI * angle
+                        ripple, within = 1.5 / PI * angle, 1.0 - angle * angle / (PI * PI)
                         seen = vec6(1.0, modulation[y, x], light, angle, cosine(ripple), cosine(ripple - 0.25))
-                        sums += cycle_weight(angle) * seen
+                        sums += within * within * seen
                 add_cycle(label, sums, block, cells, draft_bits, out_sums)
 
     return measure_contrast

@@ -47,6 +47,9 @@ LEVELS = 8
 EVEN = -1
 # At most so much of what is left of a block counts as its surroundings'.
 _MOST_LOCAL = 0.2
+# Below this many blocks, counted for every fit, starting another CPU thread costs more than it saves; only a search for
+# shifts has more.
+_SERIAL = 100_000
 # Farther than any contrast, and a difference of two that is none.
 _FAR, _LEAST = 1e6, 1e-5
 
@@ -202,6 +205,7 @@ def any_level(values: Static, left: Static, any_of: Static, f: i32, by_cycle: i3
 
 @kernel
 def fit_factors_kernel(
+    serial: Static,  # whether one thread does it
     values: F32Array2,  # (ROWS, n) see `Row`
     level: F32Array2,  # (1 or K, n) the blocks' contrasts: for all fits, or for each
     levels: F32Array3,  # (responses, cycles, places) the code's
@@ -217,6 +221,7 @@ def fit_factors_kernel(
     out: F32Array2,  # (K, 6) logarithm of the likelihood, the same of other levels, and the factor's terms
 ):
     """Fit each factor, and weigh what it leaves."""
+    ti.loop_config(serialize=serial)
     for f in range(offsets.shape[0]):
         offset, response, count = offsets[f], responses[f], values.shape[1]
         for n in range(count):
@@ -271,6 +276,7 @@ def plane_at(values: Static, terms: Static, f: i32, n: i32) -> f32:
 
 @kernel
 def flatten_kernel(
+    serial: Static,  # whether one thread does it
     values: F32Array2,  # (ROWS, n) see `Row`
     cells: I32Array2,  # (2, n) row and column
     levels: F32Array3,  # (responses, cycles, places) the code's
@@ -285,6 +291,7 @@ def flatten_kernel(
     out: F32Array2,  # (K, wanted)
 ):
     """Take off the blocks' contrasts what the factor, and the blocks around, are off the code."""
+    ti.loop_config(serialize=serial)
     for f in range(offsets.shape[0]):
         line = sums.shape[2] // (rows + 1)
         for cell in range(sums.shape[2]):
@@ -311,6 +318,10 @@ def flatten_kernel(
                 around[k] = sums[k, f, bottom * line + right] - sums[k, f, bottom * line + left]
                 around[k] -= sums[k, f, top * line + right] - sums[k, f, top * line + left]
             out[f, m] = values[Row.LEVEL, n] - plane_at(values, terms, f, n) - around[0] / around[1]
+
+
+def _one_thread_is_faster(blocks: int) -> bool:
+    return runtime.started() == "cpu" and blocks < _SERIAL
 
 
 def fit_factors(
@@ -352,6 +363,7 @@ def fit_factors(
     count = len(offsets)
     departs, out = runtime.empty((count, values.shape[1]), np.float32), np.empty((count, 6), np.float32)
     fit_factors_kernel(
+        _one_thread_is_faster(count * values.shape[1]),
         values,
         values[: Row.LEVEL + 1] if level is None else level,
         levels,
@@ -411,5 +423,6 @@ def flatten(
     sums = runtime.empty((2, len(offsets), (rows + 1) * (columns + 1)), np.float32)
     out = np.empty((len(offsets), -(-values.shape[1] // step)), np.float32)
     at_each = offsets.astype(np.int32), np.ascontiguousarray(terms.T, np.float32)
-    flatten_kernel(values, cells, levels, *at_each, response, rows, *reach, step, sums, out)
+    serial = _one_thread_is_faster(len(offsets) * values.shape[1])
+    flatten_kernel(serial, values, cells, levels, *at_each, response, rows, *reach, step, sums, out)
     return out

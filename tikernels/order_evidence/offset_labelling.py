@@ -17,6 +17,7 @@ from tikernels._taichi import (
     F32Array2,
     I32Array1,
     I32Array2,
+    Static,
     Vec16Array1,
     Vec16Array2,
     Vec16Array3,
@@ -26,6 +27,7 @@ from tikernels._taichi import (
     vec16,
 )
 from tikernels.launching import kernel
+from tikernels.unwrapping.patches import one_thread_is_faster
 from tikernels.unwrapping.tables import add_alone
 
 #: Offsets that are looked at together (a vec16), and as many labels as there may be.
@@ -38,6 +40,7 @@ _NEVER = 1e30
 
 @kernel
 def weigh_offsets_kernel(
+    serial: Static,  # whether one thread does it
     block: I32Array1,  # (M,) of each share
     patch: I32Array1,  # (M,) and the patch that holds it
     share: F32Array1,  # (M,) how much it counts
@@ -51,6 +54,7 @@ def weigh_offsets_kernel(
     out_sums: Vec16Array3,  # (P, groups of offsets, 2) see `OffsetEvidence`; 0 to begin with
 ):
     """Sum up by how much the blocks deviate from the code, and the squares of that."""
+    ti.loop_config(serialize=serial)
     for group in range(out_sums.shape[1]):
         for m in range(block.shape[0]):
             n = block[m]
@@ -69,6 +73,7 @@ def weigh_offsets_kernel(
 
 @kernel
 def pool_evidence_kernel(
+    serial: Static,  # whether one thread does it
     starts: I32Array1,  # (P + 1,) of each patch's neighbours
     neighbours: I32Array1,  # (2 C,) patches
     weights: F32Array1,  # (2 C,) of their evidence
@@ -77,6 +82,7 @@ def pool_evidence_kernel(
     out_pooled: Vec16Array2,  # (P, groups)
 ):
     """Add to each patch's evidence what its neighbours have pooled in the round before."""
+    ti.loop_config(serialize=serial)
     for patch in range(evidence.shape[0]):
         for group in range(evidence.shape[1]):
             total = evidence[patch, group]
@@ -87,6 +93,7 @@ def pool_evidence_kernel(
 
 @kernel
 def settle_labels_kernel(
+    serial: Static,  # whether one thread does it
     starts: I32Array1,  # (P + 1,) of each patch's neighbours
     neighbours: I32Array1,  # (2 C,) patches
     costs: F32Array1,  # (2 C,) of a different label there
@@ -98,6 +105,7 @@ def settle_labels_kernel(
     Half of the patches at a time: neighbours that change together would swap for ever.
     """
     for half in ti.static(range(2)):
+        ti.loop_config(serialize=serial)
         for patch in range(evidence.shape[0]):
             best = out_labels[half, patch]
             if patch % 2 == half:
@@ -188,7 +196,7 @@ def weigh_offsets(
     share = held[2].astype(np.float32)
     seen = (np.ascontiguousarray(order, np.int32), level.astype(np.float32), sigma.astype(np.float32))
     expected = np.ascontiguousarray(columns, np.float32), np.ascontiguousarray(code, np.float32)
-    weigh_offsets_kernel(block, patch, share, *seen, *expected, offsets.start, most, sums)
+    weigh_offsets_kernel(one_thread_is_faster(count), block, patch, share, *seen, *expected, offsets.start, most, sums)
     return OffsetEvidence(sums, np.bincount(patch, share, count).astype(np.float32), len(offsets))
 
 
@@ -212,9 +220,9 @@ def pool_evidence(
     """
     alone = _in_groups(evidence, 0.0)
     before, pooled = alone, np.empty_like(alone)
-    weight = weights[links.contact].astype(np.float32)
+    weight, serial = weights[links.contact].astype(np.float32), one_thread_is_faster(len(evidence))
     for _ in range(_ROUNDS):
-        pool_evidence_kernel(links.starts, links.neighbours, weight, alone, before, pooled)
+        pool_evidence_kernel(serial, links.starts, links.neighbours, weight, alone, before, pooled)
         before, pooled = pooled, np.empty_like(alone)
     return before.reshape(len(evidence), -1)[:, : evidence.shape[1]]
 
@@ -242,12 +250,12 @@ def settle_labels(
     -------
     (P,) int32
     """
-    cost = costs[links.contact].astype(np.float32)
+    cost, serial = costs[links.contact].astype(np.float32), one_thread_is_faster(len(evidence))
     settled = np.stack([labels, labels]).astype(np.int32)
     all_labels = _in_groups(evidence, _NEVER)[:, 0]
     for _ in range(_SWEEPS):
         before = settled[0].copy()
-        settle_labels_kernel(links.starts, links.neighbours, cost, all_labels, settled)
+        settle_labels_kernel(serial, links.starts, links.neighbours, cost, all_labels, settled)
         if np.array_equal(settled[0], before):
             break
     return np.asarray(settled[0])

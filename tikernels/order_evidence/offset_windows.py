@@ -29,6 +29,7 @@ from tikernels._taichi import (
 )
 from tikernels.launching import kernel
 from tikernels.order_evidence.offset_labelling import LANES, OffsetEvidence
+from tikernels.unwrapping.patches import one_thread_is_faster
 
 # Levels of brightness, evenly spaced between these quantiles of the cells'.
 _LEVELS, _FROM_TO = 8, (0.02, 0.98)
@@ -38,6 +39,7 @@ _LEAST_CELLS = 9
 
 @kernel
 def sum_tables_kernel(
+    serial: Static,  # whether one thread does it
     patch: I32Array1,  # (P,) sorted by cell
     starts: I32Array1,  # (R * C + 1,) where each cell's begin
     columns: i32,  # C, of cells
@@ -45,6 +47,7 @@ def sum_tables_kernel(
     out_table: Vec16Array3,  # ((R + 1) * (C + 1), groups, 2) sum of all cells before; 0 to begin with
 ):
     """Sum up the patches of a grid's cells above and to the left: four places of the table give a window's sum."""
+    ti.loop_config(serialize=serial)
     for group, kind in ti.ndrange(values.shape[1], 2):
         for row in range((starts.shape[0] - 1) // columns):
             total = vec16(0.0)
@@ -84,6 +87,7 @@ def best_offset(table: Static, scale: f32, corner: i32, below: i32, beside: i32,
 
 @kernel
 def scan_windows_kernel(
+    serial: Static,  # whether one thread does it
     windows: I32Array2,  # (W, 2) cells, rows by columns
     weights: F32Array3,  # ((R + 1) * (C + 1), 1, 1) table of what the blocks count
     table: Vec16Array3,  # ((R + 1) * (C + 1), groups, 2) of the patches' sums
@@ -95,6 +99,7 @@ def scan_windows_kernel(
     out_offset: I32Array3,  # (W, R, C) the best offset
 ):
     """Find for each window, by its first cell, which offset its blocks fit best, and by how much better than theirs."""
+    ti.loop_config(serialize=serial)
     for row, column in ti.ndrange(out_gain.shape[1], out_gain.shape[2]):
         for w in range(windows.shape[0]):
             best, better = own, 0.0
@@ -219,7 +224,18 @@ def _scan(
     weights[1:, 1:] = np.bincount(cell, evidence.weight, rows * columns).reshape(rows, columns).cumsum(0).cumsum(1)
     gain = np.empty((len(windows), rows, columns), np.float32)
     offset = np.empty(gain.shape, np.int32)
-    scan_windows_kernel(windows, weights.reshape(-1, 1, 1), table, evidence.offsets, own, common, least, gain, offset)
+    scan_windows_kernel(
+        one_thread_is_faster(len(sort)),
+        windows,
+        weights.reshape(-1, 1, 1),
+        table,
+        evidence.offsets,
+        own,
+        common,
+        least,
+        gain,
+        offset,
+    )
     gain *= np.minimum(1, most_columns / windows[:, 1])[:, None, None]
     found = np.nonzero(gain > least)
     high, wide = windows[found[0]].T
@@ -236,7 +252,9 @@ def _sum_table(
     """Return a table of sums of patches' values (P, groups, 2, LANES); see `sum_tables_kernel`."""
     rows = (len(starts) - 1) // columns
     table = np.zeros(((rows + 1) * (columns + 1), *values.shape[1:]), np.float32)
-    sum_tables_kernel(patch.astype(np.int32), starts.astype(np.int32), columns, values, table)
+    sum_tables_kernel(
+        one_thread_is_faster(len(patch)), patch.astype(np.int32), starts.astype(np.int32), columns, values, table
+    )
     return table
 
 
