@@ -82,11 +82,12 @@ class _Levels(NamedTuple):
 
         A large clump is judged by how its levels rise from cycle to cycle, a small one by how high they are.
         """
-        alike = self.sigma[0] / _CLUMP_SIGMA if len(self.sigma) else 0.0
-        common = float(np.median(self.departs)) if len(self.departs) else 0.0
+        if len(self.share) == 0:
+            return 0.0
+        common, alike = float(np.median(self.departs)), self.sigma[0] / _CLUMP_SIGMA
         for _ in range(_ROUNDS):
             weights = _COUNTS * self.share * self.inside / np.maximum(1, np.abs(self.departs - common) / 1.5)
-            common = float(weights @ self.departs / (weights.sum() + alike**2)) if len(weights) else 0.0
+            common = float(weights @ self.departs / (weights.sum() + alike**2))
         return float(self.cost(common).sum() + 0.5 * (common * alike) ** 2)
 
 
@@ -95,21 +96,18 @@ class _Parts:
 
     def __init__(self, reader: CodeReader, lacks: Integers) -> None:
         blocks = reader.blocks
-        self._reader, self._factors = reader, dict[int, tuple[Factor, float]]()
+        self._reader = reader
+        #: Of parts that show enough: the factor, and by how much their blocks scatter about it, natural logarithm.
+        self.factors: dict[int, tuple[Factor, float]] = {}
         departs, sigma = np.zeros(len(blocks.order)), np.full(len(blocks.order), np.nan)
         parts = np.flatnonzero(np.bincount(blocks.root) >= _MIN_BLOCKS)
         for part, own in zip(parts.tolist(), reader.blocks_of(parts), strict=True):
             factor, departs[own] = reader.fit(own, int(lacks[part]))
             sigma[own] = max(robust_sigma(departs[own]), _MIN_SIGMA)
-            self._factors[part] = factor, sigma[own[0]]
-        inside = reader.has(np.arange(len(departs)), blocks.order + lacks[blocks.root])
-        held = blocks.block
+            self.factors[part] = factor, sigma[own[0]]
+        inside, held = reader.has(np.arange(len(departs)), blocks.order + lacks[blocks.root]), blocks.block
         #: Of all blocks that patches hold, in their own parts.
         self.own = _Levels(blocks.share, (departs / sigma)[held], inside[held], sigma[held])
-
-    def known(self, *parts: int) -> bool:
-        """Whether parts show how high their contrast is."""
-        return all(part in self._factors for part in parts)
 
     def compare(
         self, patches: npt.NDArray[np.bool_], part: int, lacks: Integers
@@ -119,7 +117,7 @@ class _Parts:
         Returns the numbers of the blocks that they hold (n,), their levels there, and by how much more speaks against
         that part than against their own (P,).
         """
-        blocks, (factor, sigma) = self._reader.blocks, self._factors[part]
+        blocks, (factor, sigma) = self._reader.blocks, self.factors[part]
         held = np.flatnonzero(patches[blocks.patch])
         which, patch = blocks.block[held], blocks.patch[held]
         orders = blocks.order[which] + lacks[patch]
@@ -160,7 +158,7 @@ def settle_borders(
     own, shown = parts.own, np.bincount(blocks.patch, blocks.share, count)  # blocks of each patch
     orders, roots, torn = graph.offset + lacks, roots.copy(), np.zeros(count, np.bool_)
     for part, other, change, seeds in _going_on(borders, orders, roots, _SOME_PX):
-        if errors[other] > _MOST_ERROR or not parts.known(part, other):
+        if errors[other] > _MOST_ERROR or not {part, other} <= parts.factors.keys():
             continue
         inside = roots == part
         held, there, against = parts.compare(inside, other, orders - graph.offset + change)
@@ -174,7 +172,7 @@ def settle_borders(
                 for before, after in zip(own, there.of(moved), strict=True):
                     before[held[moved]] = after
     for part, other, change, seeds in _going_on(borders, orders, roots, _SIDE_PX):
-        if parts.known(part, other):
+        if {part, other} <= parts.factors.keys():
             asked = np.zeros(count, np.bool_)
             asked[seeds] = True
             torn |= asked & (parts.compare(asked, other, orders - graph.offset + change)[2] < _UNDECIDED)

@@ -1,7 +1,6 @@
 """Keep the orders of the frame before, region by region: an object keeps its depth while it moves."""
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Self
 
 import numpy as np
@@ -77,19 +76,14 @@ class CarriedOrders:
         region = number[roots[votes[:, PATCH]]]
         agrees = np.flatnonzero((region >= 0) & (votes[:, SOUND] == 1))
         agrees = agrees[votes[agrees, LACKING] == self.offsets[region[agrees]]]
-        here = np.stack([np.ones(len(agrees)), places[1][agrees], places[0][agrees]])
-        gained = 2 * np.pi * (expected[agrees] - votes[agrees, REST] / RESTS_A_CYCLE)
-        sort = np.argsort(region[agrees], kind="stable")
-        ends = np.searchsorted(region[agrees[sort]], np.arange(len(self.roots) + 1))
         change = np.zeros((len(self.roots), 3))
-        for k, (first, last) in enumerate(pairwise(ends)):
-            within = sort[first:last]
-            least = max(_MIN_MOVING, _MIN_ALIKE * len(within))
-            if len(within) >= least:
-                plane = _fitted_plane(here[:, within], gained[within])
-                near = within[np.abs(gained[within] - plane @ here[:, within]) < _SAME_CHANGE]
-                if len(near) >= least:
-                    change[k] = _fitted_plane(here[:, near], gained[near])
+        for k in np.flatnonzero(np.bincount(region[agrees]) >= _MIN_MOVING):
+            voters = agrees[region[agrees] == k]
+            here = np.stack([np.ones(len(voters)), places[1][voters], places[0][voters]])
+            gained = 2 * np.pi * (expected[voters] - votes[voters, REST] / RESTS_A_CYCLE)
+            near = np.abs(gained - _fitted_plane(here, gained) @ here) < _SAME_CHANGE
+            if near.sum() >= max(_MIN_MOVING, _MIN_ALIKE * len(voters)):
+                change[k] = _fitted_plane(here[:, near], gained[near])
         return replace(self, change=change)
 
     def with_neighbours(self, parts: npt.NDArray[np.int32], beside: npt.NDArray[np.int32]) -> Self:

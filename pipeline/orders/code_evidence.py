@@ -6,7 +6,6 @@ share are fitted at each offset. A block deviates from the fit by noise and a sp
 the edges of a surface does. The spread is not known, and integrated over. `docs/coded_pattern.md` has the derivation.
 """
 
-from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -162,11 +161,12 @@ class CodeReader:
         self.trust = 0.0
         #: Whether the frame shows the code there so clearly that nobody need look for it anywhere else.
         self.is_plain = False
-        self._seen = None if code.cell_px is None else columns
         #: (N, 4) where each block looks along the stripe: terms of a polynomial of its order, px.
-        self.columns = self._columns_at(blocks.place)
+        self.columns, width_px = np.zeros((len(blocks.order), 4), np.float32), 0.0
+        if code.cell_px is not None and columns is not None:
+            self.columns, width_px = columns.terms(blocks.place), columns.block_px
         #: (gammas, cycles, places)
-        self.levels = code.levels(0.0 if self._seen is None else self._seen.block_px, self.cycles)
+        self.levels = code.levels(width_px, self.cycles)
         self._gamma = GAMMAS.index(2.0)
         #: As how many each block counts under a code of cells.
         self._each_counts = 1.0
@@ -216,10 +216,8 @@ class CodeReader:
     def fit(self, which: Integers, offset: int) -> tuple[Factor, FloatArray]:
         """Fit the factor of a part with these blocks (n,) at an offset, and return what is left of them (n,)."""
         part = self._part(which)
-        fitted = self._fit(part.values, np.array([offset]))
-        return Factor(part.middle, part.brightness, fitted.terms[:, 0]), runtime.to_host(fitted.departs)[0].astype(
-            np.float64
-        )
+        *_, terms, departs = self._fit(part.values, np.array([offset]))
+        return Factor(part.middle, part.brightness, terms[:, 0]), runtime.to_host(departs)[0].astype(np.float64)
 
     def _fit(
         self,
@@ -440,19 +438,13 @@ class CodeReader:
             part.values[Row.COLUMN] += shift_px / self.code.repeats_px
             part.evidence = None
 
-    def again(self, blocks: Blocks) -> "CodeReader":
+    def again(self, other: "CodeReader") -> "CodeReader":
         """Return the reader of other blocks of the frame with what was learnt of it."""
-        other = copy(self)
-        other.blocks, other.columns = blocks, self._columns_at(blocks.place)
+        other._gamma, other._gain, other._each_counts = self._gamma, self._gain, self._each_counts
+        other.trust, other.shift_px = self.trust, self.shift_px
+        other._move(self.shift_px)
+        other._parts = self._parts
         return other
-
-    def _columns_at(self, place: FloatArray) -> npt.NDArray[np.float32]:
-        """Return where places (n, 2) look along the stripe (n, 4)."""
-        if self._seen is None:
-            return np.zeros((len(place), 4), np.float32)
-        terms = self._seen.terms(place)
-        terms[:, 0] += self._moved_px
-        return terms
 
 
 def _of_neighbours(off: FloatArray) -> FloatArray:

@@ -87,7 +87,8 @@ def find_absolute_orders(
         return _unread(graph, order_range if elsewhere is None else None, elsewhere)
 
     def read_again(roots: npt.NDArray[np.int32]) -> CodeReader:
-        return reader.again(read_blocks(sums, graph._replace(root=roots), width, noise, blocks.ripple))
+        anew = read_blocks(sums, graph._replace(root=roots), width, noise, blocks.ripple)
+        return reader.again(CodeReader(anew, code, columns))
 
     roots, main = cut_regions(reader, graph, width, order_range)
     if (main >= 0).any():

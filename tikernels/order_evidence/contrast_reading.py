@@ -155,17 +155,8 @@ def measure_contrast(
     modulation = checks.read_array("modulation", modulation, patches.shape, np.float32)
     sums = runtime.empty((patches.count, ORDER_SLOTS, SUMS * BLOCKS), np.float32)
     surfaces = crosstalk.surfaces
-    light = (
-        image,
-        surfaces.labels,
-        surfaces.unmixing,
-        surfaces.ambient,
-        crosstalk.inverse,
-        gains.gains,
-        gains.spacing_px,
-        phase,
-        modulation,
-    )
+    light = (image, surfaces.labels, surfaces.unmixing, surfaces.ambient, crosstalk.inverse)
+    seen = (gains.gains, gains.spacing_px, phase, modulation)
     of_patches = (patches.labels, patches.cell_table, patches.draft_bits)
-    measure_contrast_kernel(surfaces.mixed)(*light, *of_patches, sums)
+    measure_contrast_kernel(surfaces.mixed)(*light, *seen, *of_patches, sums)
     return runtime.to_host(sums).reshape(patches.count, ORDER_SLOTS, BLOCKS, SUMS)  # synchronises

@@ -31,6 +31,7 @@ from tikernels._taichi import (
 )
 from tikernels.arrays import F32
 from tikernels.launching import kernel
+from tikernels.unwrapping.patches import one_thread_is_faster
 from tikernels.unwrapping.tables import add_alone
 
 #: What a block's contrast deviates by beside the camera's noise (natural logarithm) where a symbol is one cell, each
@@ -47,9 +48,8 @@ LEVELS = 8
 EVEN = -1
 # At most so much of what is left of a block counts as its surroundings'.
 _MOST_LOCAL = 0.2
-# Below this many blocks, counted for every fit, starting another CPU thread costs more than it saves; only a search for
-# shifts has more.
-_SERIAL = 100_000
+# So many blocks of a fit take a CPU thread as long as a patch takes.
+_BLOCKS_A_PATCH = 10
 # Farther than any contrast, and a difference of two that is none.
 _FAR, _LEAST = 1e6, 1e-5
 
@@ -320,10 +320,6 @@ def flatten_kernel(
             out[f, m] = values[Row.LEVEL, n] - plane_at(values, terms, f, n) - around[0] / around[1]
 
 
-def _one_thread_is_faster(blocks: int) -> bool:
-    return runtime.started() == "cpu" and blocks < _SERIAL
-
-
 def fit_factors(
     values: npt.NDArray[np.float32],
     levels: npt.NDArray[np.float32],
@@ -360,24 +356,14 @@ def fit_factors(
     level : (K, n) float32, optional
         The blocks' contrasts in each fit, if not as they were seen.
     """
-    count = len(offsets)
-    departs, out = runtime.empty((count, values.shape[1]), np.float32), np.empty((count, 6), np.float32)
-    fit_factors_kernel(
-        _one_thread_is_faster(count * values.shape[1]),
-        values,
-        values[: Row.LEVEL + 1] if level is None else level,
-        levels,
-        offsets.astype(np.int32),
-        np.broadcast_to(responses, count).astype(np.int32),
-        np.broadcast_to(shifts, count).astype(np.float32),
-        any_of,
-        gain[0] or 0.0,
-        gain[1],
-        gain[0] is not None,
-        by_cycle,
-        departs,
-        out,
-    )
+    count, blocks = len(offsets), values.shape[1]
+    departs, out = runtime.empty((count, blocks), np.float32), np.empty((count, 6), np.float32)
+    seen = values, values[: Row.LEVEL + 1] if level is None else level, levels
+    at_each = offsets.astype(np.int32), np.broadcast_to(responses, count).astype(np.int32)
+    further = np.broadcast_to(shifts, count).astype(np.float32)
+    rule = any_of, gain[0] or 0.0, gain[1], gain[0] is not None, by_cycle
+    serial = one_thread_is_faster(count * blocks // _BLOCKS_A_PATCH)
+    fit_factors_kernel(serial, *seen, *at_each, further, *rule, departs, out)
     likelihood, other, *terms = out.T.astype(np.float64)
     return Fitted(likelihood, other, np.array(terms), departs)
 
@@ -423,6 +409,6 @@ def flatten(
     sums = runtime.empty((2, len(offsets), (rows + 1) * (columns + 1)), np.float32)
     out = np.empty((len(offsets), -(-values.shape[1] // step)), np.float32)
     at_each = offsets.astype(np.int32), np.ascontiguousarray(terms.T, np.float32)
-    serial = _one_thread_is_faster(len(offsets) * values.shape[1])
+    serial = one_thread_is_faster(len(offsets) * values.shape[1] // _BLOCKS_A_PATCH)
     flatten_kernel(serial, values, cells, levels, *at_each, response, rows, *reach, step, sums, out)
     return out

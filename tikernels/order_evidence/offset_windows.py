@@ -191,8 +191,8 @@ def find_other_offsets(
     (K,) float32
         By how much it is better, in variances.
     """
-    scanned = _scan(evidence, cells, own, windows, most_columns, common, least)
-    pieces = _pieces(evidence, cells, brightness, own, most_columns, common, least)
+    rule = most_columns, common, least
+    scanned, pieces = _scan(evidence, cells, own, windows, rule), _pieces(evidence, cells, own, brightness, rule)
     places, gain = [*scanned.cells, *pieces.cells], np.append(scanned.gain, pieces.gain)
     taken = np.full((cells.rows, cells.columns), -1, np.int64)
     chosen: list[int] = []
@@ -205,16 +205,10 @@ def find_other_offsets(
 
 
 def _scan(
-    evidence: OffsetEvidence,
-    cells: Cells,
-    own: int,
-    windows: npt.NDArray[np.int32],
-    most_columns: float,
-    common: float,
-    least: float,
+    evidence: OffsetEvidence, cells: Cells, own: int, windows: npt.NDArray[np.int32], rule: tuple[float, float, float]
 ) -> _Found:
     """Lay windows everywhere."""
-    rows, columns = cells.rows, cells.columns
+    (most_columns, common, least), rows, columns = rule, cells.rows, cells.columns
     windows = np.minimum(windows, (rows, columns)).astype(np.int32)
     cell = cells.number
     sort = np.argsort(cell, kind="stable")
@@ -224,18 +218,8 @@ def _scan(
     weights[1:, 1:] = np.bincount(cell, evidence.weight, rows * columns).reshape(rows, columns).cumsum(0).cumsum(1)
     gain = np.empty((len(windows), rows, columns), np.float32)
     offset = np.empty(gain.shape, np.int32)
-    scan_windows_kernel(
-        one_thread_is_faster(len(sort)),
-        windows,
-        weights.reshape(-1, 1, 1),
-        table,
-        evidence.offsets,
-        own,
-        common,
-        least,
-        gain,
-        offset,
-    )
+    tables, numbers = (weights.reshape(-1, 1, 1), table), (evidence.offsets, own, common, least)
+    scan_windows_kernel(one_thread_is_faster(len(sort)), windows, *tables, *numbers, gain, offset)
     gain *= np.minimum(1, most_columns / windows[:, 1])[:, None, None]
     found = np.nonzero(gain > least)
     high, wide = windows[found[0]].T
@@ -252,22 +236,20 @@ def _sum_table(
     """Return a table of sums of patches' values (P, groups, 2, LANES); see `sum_tables_kernel`."""
     rows = (len(starts) - 1) // columns
     table = np.zeros(((rows + 1) * (columns + 1), *values.shape[1:]), np.float32)
-    sum_tables_kernel(
-        one_thread_is_faster(len(patch)), patch.astype(np.int32), starts.astype(np.int32), columns, values, table
-    )
+    places = patch.astype(np.int32), starts.astype(np.int32)
+    sum_tables_kernel(one_thread_is_faster(len(patch)), *places, columns, values, table)
     return table
 
 
 def _pieces(
     evidence: OffsetEvidence,
     cells: Cells,
-    brightness: npt.NDArray[np.floating],
     own: int,
-    most_columns: float,
-    common: float,
-    least: float,
+    brightness: npt.NDArray[np.floating],
+    rule: tuple[float, float, float],
 ) -> _Found:
     """Ask the pieces above and below levels of brightness. Of more than half of the cells the region has its offset."""
+    most_columns, common, least = rule
     cell, count, shape = cells.number, cells.rows * cells.columns, (cells.rows, cells.columns)
     weight = np.bincount(cell, evidence.weight, count)
     seen = weight > 0

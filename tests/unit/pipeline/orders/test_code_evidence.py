@@ -163,7 +163,7 @@ def test_what_was_learnt_is_passed_on(name):
     reader = reader_of(name, 12, 12, 20, gamma=1.0, factor=-0.2, shift_px=1.5)
     reader.learn()
     fresh = reader_of(name, 2, 4, 20, gamma=1.0, factor=-0.2)
-    later = reader.again(fresh.blocks)
+    later = reader.again(CodeReader(fresh.blocks, fresh.code, code_and_columns(name)[1]))
     np.testing.assert_array_equal(later.levels_now, reader.levels_now)
     np.testing.assert_allclose(later.columns[:, 0] - fresh.columns[:, 0], reader.shift_px, atol=1e-4)
     known, learnt = (seen.read(all_of(seen)).posterior(0.0, 0.0, 0.0).error(20) for seen in (later, fresh))
