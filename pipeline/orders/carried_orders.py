@@ -222,7 +222,7 @@ def count_votes(
 
 def _rows(votes: npt.NDArray[np.int32], chosen: npt.NDArray[np.bool_]) -> npt.NDArray[np.int32]:
     """Return some of the votes, column by column in memory as they are."""
-    return votes.T[:, chosen].T
+    return votes.T.compress(chosen, axis=1).T
 
 
 def _coherence(root: npt.NDArray[np.int64], rest: npt.NDArray[np.int32], count: int) -> npt.NDArray[np.float64]:
