@@ -20,7 +20,6 @@ from tikernels.order_evidence.contrast_reading import (
     MODULATION,
     ORDER_SLOTS,
     PHASE,
-    SINE,
     SUMS,
     TOTAL,
 )
@@ -101,7 +100,7 @@ def read_blocks(
     mean = total / weight[:, None]
     contrast = np.log(np.where(shown, total[:, MODULATION], 1.0) / np.where(shown, total[:, BACKGROUND], 1.0))
     ripple = _ripple(values, of, mean, contrast) if ripple is None else ripple
-    contrast -= mean[:, [COSINE, SINE]] @ ripple
+    contrast -= mean[:, COSINE:] @ ripple
     full = _full_weight(weight, root, order, column)
     contrast += _BLUR / full**2
     shown &= (weight >= _MIN_WEIGHT) & (weight > _MIN_SHARE * full)
@@ -125,10 +124,9 @@ def _ripple(values: FloatArray, of: Integers, mean: FloatArray, contrast: FloatA
     counts &= np.minimum(values[:, MODULATION], values[:, BACKGROUND]) > 0
     piece, of = values[counts], of[counts]
     departs = np.log(piece[:, MODULATION] / piece[:, BACKGROUND]) - contrast[of]
-    waves = piece[:, [COSINE, SINE]] / piece[:, TOTAL, None] - mean[:, [COSINE, SINE]][of]
-    usual = (np.abs(departs) < _MOST_RIPPLE) & (np.abs(waves).sum(axis=1) > 1e-6)
-    departs, waves, weights = departs[usual], waves[usual], piece[usual, TOTAL, None]
-    return np.linalg.solve((waves * weights).T @ waves + _RIPPLE_DOUBT * np.eye(2), (waves * weights).T @ departs)
+    waves = piece[:, COSINE:] / piece[:, TOTAL, None] - mean[of, COSINE:]
+    weighted = waves * (piece[:, TOTAL] * (np.abs(departs) < _MOST_RIPPLE))[:, None]
+    return np.linalg.solve(weighted.T @ waves + _RIPPLE_DOUBT * np.eye(2), weighted.T @ departs)
 
 
 def _full_weight(weight: FloatArray, root: Integers, order: Integers, column: npt.NDArray[np.integer]) -> FloatArray:
