@@ -109,9 +109,7 @@ class _Parts:
         #: Of all blocks that patches hold, in their own parts.
         self.own = _Levels(blocks.share, (departs / sigma)[held], inside[held], sigma[held])
 
-    def compare(
-        self, patches: npt.NDArray[np.bool_], part: int, lacks: Integers
-    ) -> tuple[Integers, _Levels, FloatArray]:
+    def judge(self, patches: npt.NDArray[np.bool_], part: int, lacks: Integers) -> tuple[Integers, _Levels, FloatArray]:
         """Compare the levels of patches (P,) with those of another part, with these offsets (P,).
 
         Returns the numbers of the blocks that they hold (n,), their levels there, and by how much more speaks against
@@ -161,7 +159,7 @@ def settle_borders(
         if errors[other] > _MOST_ERROR or not {part, other} <= parts.factors.keys():
             continue
         inside = roots == part
-        held, there, against = parts.compare(inside, other, orders - graph.offset + change)
+        held, there, against = parts.judge(inside, other, orders - graph.offset + change)
         for clump in _clumps(graph, inside & ((against < 0) | (shown < _MIN_SHOWN)), seeds):
             then = np.where(clump, orders + change, orders), np.where(clump, other, roots)
             moved = np.flatnonzero(clump[blocks.patch[held]])
@@ -173,9 +171,8 @@ def settle_borders(
                     before[held[moved]] = after
     for part, other, change, seeds in _going_on(borders, orders, roots, _SIDE_PX):
         if {part, other} <= parts.factors.keys():
-            asked = np.zeros(count, np.bool_)
-            asked[seeds] = True
-            torn |= asked & (parts.compare(asked, other, orders - graph.offset + change)[2] < _UNDECIDED)
+            asked = np.bincount(seeds, minlength=count) > 0
+            torn |= asked & (parts.judge(asked, other, orders - graph.offset + change)[2] < _UNDECIDED)
     touching = (roots[borders.ends[0]] != roots[borders.ends[1]]) & (borders.going_on > _SOME_PX)
     beside = np.bincount(borders.ends[:, touching].ravel(), minlength=count) > 0
     contradicted = np.bincount(blocks.patch, own.cost(), count) > 0.5 * _CONTRADICTS * _COUNTS * shown

@@ -107,8 +107,7 @@ def find_absolute_orders(
     if _much_moved(before, roots, graph):
         standing = _standing(roots, graph)
         roots, main = standing[roots], np.where(main >= 0, standing[main], -1)
-        reader = read_again(roots)
-        parts, _, posteriors = _placed(reader, graph, width, roots, main)
+        parts, _, posteriors = _placed(read_again(roots), graph, width, roots, main)
     if order_range is not None:
         least, most = order_range.least - settled.shifts, order_range.most - settled.shifts
         ranges = replace(order_range, least=least, most=most).by_part(roots, parts, graph.pixels)

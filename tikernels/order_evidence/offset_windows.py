@@ -9,7 +9,7 @@ which of them it shows.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -35,6 +35,8 @@ from tikernels.unwrapping.patches import one_thread_is_faster
 _LEVELS, _FROM_TO = 8, (0.02, 0.98)
 # Pieces of fewer cells than the smallest windows are not asked.
 _LEAST_CELLS = 9
+# What `find_other_offsets` is told of the windows: most_columns, common and least.
+_Rule: TypeAlias = tuple[float, float, float]
 
 
 @kernel
@@ -204,9 +206,7 @@ def find_other_offsets(
     return taken[cells.row, cells.column], offset, gain[chosen].astype(np.float32)
 
 
-def _scan(
-    evidence: OffsetEvidence, cells: Cells, own: int, windows: npt.NDArray[np.int32], rule: tuple[float, float, float]
-) -> _Found:
+def _scan(evidence: OffsetEvidence, cells: Cells, own: int, windows: npt.NDArray[np.int32], rule: _Rule) -> _Found:
     """Lay windows everywhere."""
     (most_columns, common, least), rows, columns = rule, cells.rows, cells.columns
     windows = np.minimum(windows, (rows, columns)).astype(np.int32)
@@ -242,11 +242,7 @@ def _sum_table(
 
 
 def _pieces(
-    evidence: OffsetEvidence,
-    cells: Cells,
-    own: int,
-    brightness: npt.NDArray[np.floating],
-    rule: tuple[float, float, float],
+    evidence: OffsetEvidence, cells: Cells, own: int, brightness: npt.NDArray[np.floating], rule: _Rule
 ) -> _Found:
     """Ask the pieces above and below levels of brightness. Of more than half of the cells the region has its offset."""
     most_columns, common, least = rule
