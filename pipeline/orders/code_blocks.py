@@ -126,7 +126,8 @@ def _ripple(values: FloatArray, of: Integers, mean: FloatArray, contrast: FloatA
     departs = np.log(piece[:, MODULATION] / piece[:, BACKGROUND]) - contrast[of]
     waves = piece[:, COSINE:] / piece[:, TOTAL, None] - mean[of, COSINE:]
     weighted = waves * (piece[:, TOTAL] * (np.abs(departs) < _MOST_RIPPLE))[:, None]
-    return np.linalg.solve(weighted.T @ waves + _RIPPLE_DOUBT * np.eye(2), weighted.T @ departs)
+    share = np.linalg.solve(weighted.T @ waves + _RIPPLE_DOUBT * np.eye(2), weighted.T @ departs)
+    return np.asarray(share, np.float64)
 
 
 def _full_weight(weight: FloatArray, root: Integers, order: Integers, column: npt.NDArray[np.integer]) -> FloatArray:
