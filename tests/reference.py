@@ -599,13 +599,14 @@ def measure_contrast(
     That is weight, modulation, background, phase, and cosine and sine of three times the phase, which are smooth steps.
     """
     sums: dict[int, Array] = {}
-    cell_width, block_width, order_bits, order_zero = 8, 4, 6, 32
+    cell_height, cell_width, block_width, order_bits, order_zero = 16, 8, 4, 6, 32
     for y, x in np.ndindex(labels.shape):
         if labels[y, x] < 0:
             continue
-        left = x // cell_width * cell_width
-        right = min(left + cell_width, labels.shape[1])
-        gain = gain_at(gains.astype(np.float64), gain_cell, y // 4 * 4 + 2, (left + right) // 2)
+        top, left = y // cell_height * cell_height, x // cell_width * cell_width
+        bottom, right = min(top + cell_height, labels.shape[0]), min(left + cell_width, labels.shape[1])
+        first, last = (gain_at(gains.astype(np.float64), gain_cell, row, (left + right) // 2) for row in (top, bottom))
+        gain = first + (y - top) / (bottom - top) * (last - first)
         background = (inverse.astype(np.float64) @ (image[y, x] * gain)).mean()
         weight = (1 - (float(phase[y, x]) / np.pi) ** 2) ** 2
         slot = (labels[y, x] & (2**order_bits - 1)) - order_zero + slots // 2

@@ -123,6 +123,7 @@ if TYPE_CHECKING:
     vec32: TypeAlias = Any
     Vec16Array1: TypeAlias = Any
     Vec16Array2: TypeAlias = Any
+    Vec16Array3: TypeAlias = Any
     ivec2: TypeAlias = Any
     ivec4: TypeAlias = Any
     mat3: TypeAlias = Any
@@ -142,7 +143,7 @@ else:
         ti.types.vector(n, ti.f32) for n in (2, 3, 4, 5, 6, 8, 16, 21, 32)
     )
     # A CPU loads and adds all sixteen at once: of an array of numbers it does not know that they lie in a row.
-    Vec16Array1, Vec16Array2 = (ti.types.ndarray(dtype=vec16, ndim=n) for n in (1, 2))
+    Vec16Array1, Vec16Array2, Vec16Array3 = (ti.types.ndarray(dtype=vec16, ndim=n) for n in (1, 2, 3))
     ivec2, ivec4 = (ti.types.vector(n, ti.i32) for n in (2, 4))
     mat3, mat4, mat5, mat6 = (ti.types.matrix(n, n, ti.f32) for n in (3, 4, 5, 6))
     f32, i32, u1 = ti.f32, ti.i32, ti.u1

@@ -61,77 +61,70 @@ class SettledBorders:
 
 
 class _Levels(NamedTuple):
-    """The contrast of some blocks, less what their part predicts."""
+    """The contrast of patches' blocks, less what a part predicts."""
 
-    held: Integers  # (n,) which of the blocks' shares
-    share: FloatArray  # (n,) how much each counts
+    share: FloatArray  # (n,) how much each block counts in its patch
     departs: FloatArray  # (n,) standard deviations
     inside: npt.NDArray[np.bool_]  # (n,) whether the code has such a cycle
-    sigma: float  # a standard deviation, natural logarithm
+    sigma: FloatArray  # (n,) a standard deviation, natural logarithm; NaN: the part shows too little
 
-    def cost(self, common: float) -> FloatArray:
-        """Return (n,) squared deviations, in variances, where this much of them is common to all."""
+    def of(self, which: Integers) -> "_Levels":
+        """Return some of them (m,)."""
+        return _Levels(self.share[which], self.departs[which], self.inside[which], self.sigma[which])
+
+    def cost(self, common: float = 0.0) -> FloatArray:
+        """Return (n,) half the squared deviation, in variances, where this much of it is common to all."""
         squares = np.minimum((self.departs - common) ** 2, _MAX_DEVIATION)
-        return np.asarray(np.where(self.inside, squares, _MAX_DEVIATION))
+        return 0.5 * _COUNTS * self.share * np.where(self.inside, squares, _MAX_DEVIATION)
 
-
-class _LevelCosts:
-    """What the contrast says against the patches' belonging to a part."""
-
-    def __init__(self, reader: CodeReader, roots: npt.NDArray[np.int32], lacks: Integers) -> None:
-        self._reader, self._blocks, self._roots, self._lacks = reader, reader.blocks, roots, lacks
-        self._fits: dict[int, tuple[Factor, float]] = {}
-        self._silent: set[int] = set()
-        #: (P,) how many blocks each patch shows.
-        self.shown = np.bincount(self._blocks.patch, self._blocks.share, len(roots))
-
-    def known(self, part: int) -> bool:
-        """Whether a part shows how high its contrast is; measured when it is asked for the first time."""
-        if part not in self._fits and part not in self._silent:
-            own = np.flatnonzero(self._blocks.root == part)
-            if len(own) >= _MIN_BLOCKS:
-                self._fits[part] = self._fitted(own, self._lacks[part])
-            else:
-                self._silent.add(part)
-        return part in self._fits
-
-    def _fitted(self, own: Integers, lacks: int) -> tuple[Factor, float]:
-        """Fit a part's factor to its blocks, and return by how much they scatter about it."""
-        factor = self._reader.fit(own, int(lacks))
-        departs, _ = self._departs(factor, own, np.full(len(own), lacks))
-        return factor, max(robust_sigma(departs), _MIN_SIGMA)
-
-    def _departs(self, factor: Factor, which: Integers, lacks: Integers) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
-        """Return (n,) what is left of blocks' contrasts, and whether the code has such cycles."""
-        blocks = self._blocks
-        expected, inside = self._reader.expected(which, blocks.order[which] + lacks)
-        usual = factor.at(blocks.place[which], blocks.brightness[which])
-        return blocks.contrast[which] - expected - usual, inside
-
-    def against(self, part: int, patches: npt.NDArray[np.bool_], lacks: Integers) -> FloatArray:
-        """Return (P,) half the squared deviation, in variances, of these patches' levels from a part's."""
-        levels = self._levels(part, patches, lacks)
-        weights = 0.5 * levels.share * levels.cost(0.0)
-        return np.asarray(np.bincount(self._blocks.patch[levels.held], weights, len(patches)), np.float64)
-
-    def against_together(self, part: int, clump: npt.NDArray[np.bool_], lacks: Integers) -> float:
-        """Return the same of a clump of patches, (P,) bool, which may all be off the part's plane alike.
+    def cost_together(self) -> float:
+        """Return what speaks against blocks that may all be off the part's plane alike.
 
         A large clump is judged by how its levels rise from cycle to cycle, a small one by how high they are.
         """
-        levels = self._levels(part, clump, lacks)
-        common = float(np.median(levels.departs)) if len(levels.departs) else 0.0
+        if len(self.share) == 0:
+            return 0.0
+        common, alike = float(np.median(self.departs)), self.sigma[0] / _CLUMP_SIGMA
         for _ in range(_ROUNDS):
-            weights = levels.share * levels.inside / np.maximum(1, np.abs(levels.departs - common) / 1.5)
-            common = float(weights @ levels.departs / (weights.sum() + (levels.sigma / _CLUMP_SIGMA) ** 2))
-        off = common * levels.sigma / _CLUMP_SIGMA
-        return float(0.5 * (levels.share @ levels.cost(common) + off**2))
+            weights = _COUNTS * self.share * self.inside / np.maximum(1, np.abs(self.departs - common) / 1.5)
+            common = float(weights @ self.departs / (weights.sum() + alike**2))
+        return float(self.cost(common).sum() + 0.5 * (common * alike) ** 2)
 
-    def _levels(self, part: int, patches: npt.NDArray[np.bool_], lacks: Integers) -> _Levels:
-        factor, sigma = self._fits[part]
-        held = np.flatnonzero(patches[self._blocks.patch])
-        departs, inside = self._departs(factor, self._blocks.block[held], lacks[self._blocks.patch[held]])
-        return _Levels(held, _COUNTS * self._blocks.share[held], departs / sigma, inside, sigma)
+
+class _Parts:
+    """How high the contrast of each part is."""
+
+    def __init__(self, reader: CodeReader, lacks: Integers) -> None:
+        blocks = reader.blocks
+        self._reader = reader
+        #: Of parts that show enough: the factor, and by how much their blocks scatter about it, natural logarithm.
+        self.factors: dict[int, tuple[Factor, float]] = {}
+        departs, sigma = np.zeros(len(blocks.order)), np.full(len(blocks.order), np.nan)
+        parts = np.flatnonzero(np.bincount(blocks.root) >= _MIN_BLOCKS)
+        for part, own in zip(parts.tolist(), reader.blocks_of(parts), strict=True):
+            factor, departs[own] = reader.fit(own, int(lacks[part]))
+            sigma[own] = max(robust_sigma(departs[own]), _MIN_SIGMA)
+            self.factors[part] = factor, sigma[own[0]]
+        inside, held = reader.has(np.arange(len(departs)), blocks.order + lacks[blocks.root]), blocks.block
+        #: Of all blocks that patches hold, in their own parts.
+        self.own = _Levels(blocks.share, (departs / sigma)[held], inside[held], sigma[held])
+
+    def judge(self, patches: npt.NDArray[np.bool_], part: int, lacks: Integers) -> tuple[Integers, _Levels, FloatArray]:
+        """Compare the levels of patches (P,) with those of another part, with these offsets (P,).
+
+        Returns the numbers of the blocks that they hold (n,), their levels there, and by how much more speaks against
+        that part than against their own (P,).
+        """
+        blocks, (factor, sigma) = self._reader.blocks, self.factors[part]
+        held = np.flatnonzero(patches[blocks.patch])
+        which, patch = blocks.block[held], blocks.patch[held]
+        orders = blocks.order[which] + lacks[patch]
+        departs = blocks.contrast[which] - self._reader.expected(which, orders)
+        departs -= factor.at(blocks.place[which], blocks.brightness[which])
+        inside = self._reader.has(which, orders)
+        there = _Levels(blocks.share[held], departs / sigma, inside, np.full(len(held), sigma))
+        against = np.bincount(patch, there.cost() - self.own.of(held).cost(), len(patches))
+        return held, there, np.asarray(against, np.float64)
 
 
 def settle_borders(
@@ -159,39 +152,33 @@ def settle_borders(
     """
     if graph.borders is None:
         return SettledBorders.none(roots)
-    torn = np.zeros(len(roots), np.bool_)
-    borders, costs = graph.borders, _LevelCosts(reader, roots, lacks)
-    roots, now = roots.copy(), lacks.astype(np.int64)
-    for part, other, change, seeds in _going_on(borders, graph.offset + now, roots, _SOME_PX):
-        if errors[other] > _MOST_ERROR or not (costs.known(part) and costs.known(other)):
+    borders, parts, blocks, count = graph.borders, _Parts(reader, lacks), reader.blocks, len(roots)
+    own, shown = parts.own, np.bincount(blocks.patch, blocks.share, count)  # blocks of each patch
+    orders, roots, torn = graph.offset + lacks, roots.copy(), np.zeros(count, np.bool_)
+    for part, other, change, seeds in _going_on(borders, orders, roots, _SOME_PX):
+        if errors[other] > _MOST_ERROR or not {part, other} <= parts.factors.keys():
             continue
         inside = roots == part
-        prefers = costs.against(other, inside, now + change) - costs.against(part, inside, now)
-        members = inside & ((prefers < 0) | (costs.shown < _MIN_SHOWN))
-        for clump in _clumps(graph, members, seeds):
-            then = np.where(clump, other, roots), np.where(clump, now + change, now)
-            gain = _border_cost(borders, clump, graph.offset + now, roots)
-            gain -= _border_cost(borders, clump, graph.offset + then[1], then[0])
-            gain += costs.against_together(part, clump, now) - costs.against_together(other, clump, now + change)
+        held, there, against = parts.judge(inside, other, orders - graph.offset + change)
+        for clump in _clumps(graph, inside & ((against < 0) | (shown < _MIN_SHOWN)), seeds):
+            then = np.where(clump, orders + change, orders), np.where(clump, other, roots)
+            moved = np.flatnonzero(clump[blocks.patch[held]])
+            gain = own.of(held[moved]).cost_together() - there.of(moved).cost_together()
+            gain += _border_cost(borders, clump, orders, roots) - _border_cost(borders, clump, *then)
             if gain > _MIN_GAIN and 2 * graph.pixels[clump].sum() < graph.pixels[inside].sum():
-                roots, now = then
-                inside = inside & ~clump
-    known = errors[roots] < MAX_ABSOLUTE_ERROR
-    for part, other, change, seeds in _going_on(borders, graph.offset + now, roots, _SIDE_PX):
-        if costs.known(part) and costs.known(other):
-            asked = np.zeros(len(roots), np.bool_)
-            asked[seeds] = True
-            prefers = costs.against(other, asked, now + change) - costs.against(part, asked, now)
-            torn |= asked & (prefers < _UNDECIDED)
+                (orders, roots), inside = then, inside & ~clump
+                for before, after in zip(own, there.of(moved), strict=True):
+                    before[held[moved]] = after
+    for part, other, change, seeds in _going_on(borders, orders, roots, _SIDE_PX):
+        if {part, other} <= parts.factors.keys():
+            asked = np.bincount(seeds, minlength=count) > 0
+            torn |= asked & (parts.judge(asked, other, orders - graph.offset + change)[2] < _UNDECIDED)
     touching = (roots[borders.ends[0]] != roots[borders.ends[1]]) & (borders.going_on > _SOME_PX)
-    beside = np.zeros(len(roots), np.bool_)
-    beside[borders.ends[:, touching]] = True
-    beside &= costs.shown > _WELL_SHOWN
-    for part in np.unique(roots[beside]):
-        if costs.known(part):
-            asked = beside & (roots == part)
-            torn |= asked & (costs.against(part, asked, now) > 0.5 * _CONTRADICTS * _COUNTS * costs.shown)
-    return SettledBorders(roots.astype(np.int32), now - lacks[roots], torn & known)
+    beside = np.bincount(borders.ends[:, touching].ravel(), minlength=count) > 0
+    contradicted = np.bincount(blocks.patch, own.cost(), count) > 0.5 * _CONTRADICTS * _COUNTS * shown
+    torn |= beside & (shown > _WELL_SHOWN) & contradicted
+    known = errors[roots] < MAX_ABSOLUTE_ERROR
+    return SettledBorders(roots.astype(np.int32), orders - graph.offset - lacks[roots], torn & known)
 
 
 def _going_on(
@@ -213,7 +200,7 @@ def _going_on(
     kind = pair * (2 * _MOST_CYCLES) + change
     sort = np.argsort(kind, kind="stable")
     for same in np.split(sort, np.flatnonzero(np.diff(kind[sort])) + 1) if len(sort) else []:
-        yield int(roots[one[same[0]]]), int(roots[other[same[0]]]), int(change[same[0]]), np.unique(one[same])
+        yield int(roots[one[same[0]]]), int(roots[other[same[0]]]), int(change[same[0]]), one[same]
 
 
 def _clumps(graph: PatchGraph, members: npt.NDArray[np.bool_], seeds: Integers) -> Iterator[npt.NDArray[np.bool_]]:
@@ -231,7 +218,7 @@ def _border_cost(
     borders: Borders, clump: npt.NDArray[np.bool_], orders: npt.NDArray[np.integer], roots: npt.NDArray[np.integer]
 ) -> float:
     """Return what the borders of a clump's patches cost, with these absolute orders and parts."""
-    touching = clump[borders.ends[0]] | clump[borders.ends[1]]
+    touching = np.flatnonzero(clump[borders.ends[0]] | clump[borders.ends[1]])
     low, high = borders.ends[:, touching]
     whole = (roots[low] == roots[high]) & (orders[high] - orders[low] == borders.shift[touching])
     px = np.where(whole, _STEPPING_COST * borders.stepping[touching], _GOING_ON_COST * borders.going_on[touching])

@@ -71,22 +71,20 @@ class CarriedOrders:
         places : (2, N) int
             Their rows and columns.
         """
-        if len(self.roots) == 0:
-            return self
-        vote = np.flatnonzero(votes[:, SOUND])
-        region = np.minimum(np.searchsorted(self.roots, roots[votes[vote, PATCH]]), len(self.roots) - 1)
-        agrees = self.roots[region] == roots[votes[vote, PATCH]]
-        agrees &= votes[vote, LACKING] == self.offsets[region]
-        vote, region = vote[agrees], region[agrees]
-        here = np.stack([np.ones(len(vote)), places[1][vote], places[0][vote]])
-        change = 2 * np.pi * (expected[vote] - votes[vote, REST] / RESTS_A_CYCLE)
-        count = len(self.roots)
-        fit = _fitted_planes(region, here, change, count)
-        near = np.abs(change - (fit[region].T * here).sum(axis=0)) < _SAME_CHANGE
-        voters, alike = np.bincount(region, minlength=count), np.bincount(region[near], minlength=count)
-        fit = _fitted_planes(region[near], here[:, near], change[near], count)
-        moves = (alike >= _MIN_ALIKE * voters) & (alike >= _MIN_MOVING)
-        return replace(self, change=np.where(moves[:, None], fit, 0))
+        number = np.full(len(roots), -1)
+        number[self.roots] = np.arange(len(self.roots))
+        region = number[roots[votes[:, PATCH]]]
+        agrees = np.flatnonzero((region >= 0) & (votes[:, SOUND] == 1))
+        agrees = agrees[votes[agrees, LACKING] == self.offsets[region[agrees]]]
+        change = np.zeros((len(self.roots), 3))
+        for k in np.flatnonzero(np.bincount(region[agrees]) >= _MIN_MOVING):
+            voters = agrees[region[agrees] == k]
+            here = np.stack([np.ones(len(voters)), places[1][voters], places[0][voters]])
+            gained = 2 * np.pi * (expected[voters] - votes[voters, REST] / RESTS_A_CYCLE)
+            near = np.abs(gained - _fitted_plane(here, gained) @ here) < _SAME_CHANGE
+            if near.sum() >= max(_MIN_MOVING, _MIN_ALIKE * len(voters)):
+                change[k] = _fitted_plane(here[:, near], gained[near])
+        return replace(self, change=change)
 
     def with_neighbours(self, parts: npt.NDArray[np.int32], beside: npt.NDArray[np.int32]) -> Self:
         """Let parts that nothing carries keep their orders relative to the part that they go on with most; unsure.
@@ -115,14 +113,9 @@ class CarriedOrders:
         )
 
 
-def _fitted_planes(group: npt.NDArray[np.int64], here: FloatArray, values: FloatArray, count: int) -> FloatArray:
-    """Return (count, 3): constant and slopes of the plane that fits each group's (n,) values at (3, n) places best."""
-    normal, right = np.empty((count, 3, 3)), np.empty((count, 3, 1))
-    for i, a in enumerate(here):
-        right[:, i, 0] = np.bincount(group, a * values, count)
-        for j, b in enumerate(here[: i + 1]):
-            normal[:, i, j] = normal[:, j, i] = np.bincount(group, a * b, count)
-    return np.asarray(np.linalg.solve(normal + _PLANE_PRIOR, right)[..., 0])
+def _fitted_plane(here: FloatArray, values: FloatArray) -> FloatArray:
+    """Return (3,): constant and slopes of the plane that fits values (n,) at places (3, n), the first 1, best."""
+    return np.asarray(np.linalg.solve(here @ here.T + _PLANE_PRIOR, here @ values))
 
 
 def choose_motion(
@@ -229,7 +222,7 @@ def count_votes(
 
 def _rows(votes: npt.NDArray[np.int32], chosen: npt.NDArray[np.bool_]) -> npt.NDArray[np.int32]:
     """Return some of the votes, column by column in memory as they are."""
-    return votes.T[:, chosen].T
+    return votes.T.compress(chosen, axis=1).T
 
 
 def _coherence(root: npt.NDArray[np.int64], rest: npt.NDArray[np.int32], count: int) -> npt.NDArray[np.float64]:

@@ -20,7 +20,6 @@ from tikernels.order_evidence.contrast_reading import (
     MODULATION,
     ORDER_SLOTS,
     PHASE,
-    SINE,
     SUMS,
     TOTAL,
 )
@@ -57,9 +56,12 @@ class Blocks:
     block: Integers  # (M,) a block
     patch: Integers  # (M,) a patch that holds some of it
     share: FloatArray  # (M,) how much
+    ripple: FloatArray  # (2,) cosine and sine of three times the phase that the contrast's logarithm had
 
 
-def read_blocks(sums: npt.NDArray[np.float32], graph: PatchGraph, width: int, noise: float) -> Blocks:
+def read_blocks(
+    sums: npt.NDArray[np.float32], graph: PatchGraph, width: int, noise: float, ripple: FloatArray | None = None
+) -> Blocks:
     """Put together what the patches of a part show of each cycle, and keep what is enough of one.
 
     Parameters
@@ -72,6 +74,8 @@ def read_blocks(sums: npt.NDArray[np.float32], graph: PatchGraph, width: int, no
         The image's, px.
     noise : float
         Standard deviation of a channel, levels.
+    ripple : (2,) float, optional
+        The ripple, if the frame's blocks were read before; see `Blocks`.
     """
     piece = np.flatnonzero(sums[..., TOTAL] > 0)
     patch = piece // (ORDER_SLOTS * BLOCKS)
@@ -95,7 +99,8 @@ def read_blocks(sums: npt.NDArray[np.float32], graph: PatchGraph, width: int, no
     shown = np.minimum(total[:, MODULATION], total[:, BACKGROUND]) > 0
     mean = total / weight[:, None]
     contrast = np.log(np.where(shown, total[:, MODULATION], 1.0) / np.where(shown, total[:, BACKGROUND], 1.0))
-    contrast -= mean[:, [COSINE, SINE]] @ _ripple(values, of, mean, contrast)
+    ripple = _ripple(values, of, mean, contrast) if ripple is None else ripple
+    contrast -= mean[:, COSINE:] @ ripple
     full = _full_weight(weight, root, order, column)
     contrast += _BLUR / full**2
     shown &= (weight >= _MIN_WEIGHT) & (weight > _MIN_SHARE * full)
@@ -107,7 +112,7 @@ def read_blocks(sums: npt.NDArray[np.float32], graph: PatchGraph, width: int, no
     number = np.where(shown, np.cumsum(shown) - 1, -1)[of]
     held = number >= 0
     share = values[held, TOTAL] / weight[of[held]]
-    return Blocks(root[shown], order[shown], place[shown], *seen, number[held], patch[held], share)
+    return Blocks(root[shown], order[shown], place[shown], *seen, number[held], patch[held], share, ripple)
 
 
 def _ripple(values: FloatArray, of: Integers, mean: FloatArray, contrast: FloatArray) -> FloatArray:
@@ -117,12 +122,12 @@ def _ripple(values: FloatArray, of: Integers, mean: FloatArray, contrast: FloatA
     """
     counts = values[:, TOTAL] > _MIN_PIECE
     counts &= np.minimum(values[:, MODULATION], values[:, BACKGROUND]) > 0
-    piece = values[counts]
-    departs = np.log(piece[:, MODULATION] / piece[:, BACKGROUND]) - contrast[of[counts]]
-    waves = piece[:, [COSINE, SINE]] / piece[:, TOTAL, None] - mean[of[counts]][:, [COSINE, SINE]]
-    usual = (np.abs(departs) < _MOST_RIPPLE) & (np.abs(waves).sum(axis=1) > 1e-6)
-    departs, waves, weights = departs[usual], waves[usual], piece[usual, TOTAL, None]
-    return np.linalg.solve((waves * weights).T @ waves + _RIPPLE_DOUBT * np.eye(2), (waves * weights).T @ departs)
+    piece, of = values[counts], of[counts]
+    departs = np.log(piece[:, MODULATION] / piece[:, BACKGROUND]) - contrast[of]
+    waves = piece[:, COSINE:] / piece[:, TOTAL, None] - mean[of, COSINE:]
+    weighted = waves * (piece[:, TOTAL] * (np.abs(departs) < _MOST_RIPPLE))[:, None]
+    share = np.linalg.solve(weighted.T @ waves + _RIPPLE_DOUBT * np.eye(2), weighted.T @ departs)
+    return np.asarray(share, np.float64)
 
 
 def _full_weight(weight: FloatArray, root: Integers, order: Integers, column: npt.NDArray[np.integer]) -> FloatArray:
@@ -130,8 +135,8 @@ def _full_weight(weight: FloatArray, root: Integers, order: Integers, column: np
     if len(weight) == 0:
         return np.zeros(0)
     rows, row = np.unique(root * (np.ptp(order) + 1) + order, return_inverse=True)
-    grid = np.zeros((len(rows), column.max() + 1), np.float32)
-    np.maximum.at(grid, (row, column), weight)
+    grid, rising = np.zeros((len(rows), column.max() + 1), np.float32), np.argsort(weight)
+    grid[row[rising], column[rising]] = weight[rising]  # of several the largest stays
     beside = cv2.dilate(grid, np.ones((1, _NEAR_BLOCKS), np.uint8))
     around = cv2.dilate(beside, np.ones((3, 1), np.uint8))
     # A cycle that a surface's edge cuts all along is as long as the next one.

@@ -17,6 +17,7 @@ from pipeline.orders.code_blocks import Blocks
 from pipeline.orders.posterior import NOTHING_KNOWN, Integers, Posterior
 from pipeline.orders.stripe_columns import StripeColumns, column_at
 from pipeline.robust import robust_sigma
+from tikernels import runtime
 from tikernels.order_evidence.contrast_reading import BLOCK_WIDTH
 from tikernels.order_evidence.factor_fit import EVEN, FITTED, LEVELS, ROWS, Fitted, Row, fit_factors, flatten
 from tikernels.unwrapping.tables import CELL_HEIGHT
@@ -177,17 +178,21 @@ class CodeReader:
         """(cycles, places): the code's levels under the frame's response."""
         return np.asarray(self.levels[self._gamma])
 
-    def expected(self, which: Integers, orders: Integers) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
-        """Return (n,) the code's levels where blocks (n,) have orders (n,), and whether the code has those."""
-        inside = (orders >= 0) & (orders < self.cycles)
+    def has(self, which: Integers, orders: Integers) -> npt.NDArray[np.bool_]:
+        """Return (n,) whether the code has these orders where blocks (n,) look: some rays meet the pattern nowhere."""
+        return np.asarray((orders >= 0) & (orders < self.cycles) & np.isfinite(self.columns[which, 0]))
+
+    def expected(self, which: Integers, orders: Integers) -> FloatArray:
+        """Return (n,) the code's levels where blocks (n,) have orders (n,), as far as the code has those."""
         orders = np.clip(orders, 0, self.cycles - 1)
         places, levels = np.zeros(len(which), np.int64), self.levels_now
         if self.code.cell_px is not None:
-            along = column_at(self.columns[which], orders)
-            inside &= np.isfinite(along)  # some rays meet the pattern nowhere
-            places = self.code.place_at(np.nan_to_num(along))
-        change = levels[np.minimum(orders + 1, self.cycles - 1), places] - levels[np.maximum(orders - 1, 0), places]
-        return np.asarray(levels[orders, places] + _of_neighbours(self.blocks.off[which]) * change, np.float64), inside
+            places = self.code.place_at(np.nan_to_num(column_at(self.columns[which], orders)))
+        expected, off = levels[orders, places].astype(np.float64), _of_neighbours(self.blocks.off[which])
+        cut = np.flatnonzero(off)
+        before, after = np.maximum(orders[cut] - 1, 0), np.minimum(orders[cut] + 1, self.cycles - 1)
+        expected[cut] += off[cut] * (levels[after, places[cut]] - levels[before, places[cut]])
+        return expected
 
     def _part(self, which: Integers) -> PartBlocks:
         """Return a part with these blocks (n,)."""
@@ -210,11 +215,11 @@ class CodeReader:
         cells = np.floor(along_grid).T.astype(np.int32, order="C")
         return PartBlocks(values, cells - cells.min(axis=1, keepdims=True), self.offsets(which), middle, usual)
 
-    def fit(self, which: Integers, offset: int) -> Factor:
-        """Fit the factor of a part with these blocks (n,) at an offset."""
+    def fit(self, which: Integers, offset: int) -> tuple[Factor, FloatArray]:
+        """Fit the factor of a part with these blocks (n,) at an offset, and return what is left of them (n,)."""
         part = self._part(which)
-        terms = self._fit(part.values, np.array([offset])).terms[:, 0]
-        return Factor(part.middle, part.brightness, terms)
+        *_, terms, departs = self._fit(part.values, np.array([offset]))
+        return Factor(part.middle, part.brightness, terms[:, 0]), runtime.to_host(departs)[0].astype(np.float64)
 
     def _fit(
         self,
@@ -269,7 +274,7 @@ class CodeReader:
             return _UNREAD
         shown = _thinned(part.values, _SOME)
         if part.values.shape[1] > _FLATTENED:
-            likelihood, _, terms = self._fit(shown, offsets)
+            likelihood, _, terms, _ = self._fit(shown, offsets)
             likely, shown = np.argsort(likelihood)[-_LIKELIEST:], _thinned(part.values, _MANY)
             # Each as if what is left of the factor were so by its offset.
             flat = self._flat(part, offsets[likely], terms[:, likely], _AROUND, _step(part.values, _MANY))
@@ -315,11 +320,15 @@ class CodeReader:
         low, high = np.partition(self.blocks.order[which], ends)[ends]
         return np.arange(-low, self.cycles - high)
 
-    def read_all(self, parts: Integers) -> list[PartEvidence]:
-        """Return what the blocks of each part (n,) say."""
+    def blocks_of(self, parts: Integers) -> list[Integers]:
+        """Return the blocks of each part (n,)."""
         sort = np.argsort(self.blocks.root, kind="stable")
         ends = (np.searchsorted(self.blocks.root[sort], parts, side) for side in ("left", "right"))
-        return [self.read(sort[first:last]) for first, last in zip(*ends, strict=True)]
+        return [sort[first:last] for first, last in zip(*ends, strict=True)]
+
+    def read_all(self, parts: Integers) -> list[PartEvidence]:
+        """Return what the blocks of each part (n,) say."""
+        return [self.read(own) for own in self.blocks_of(parts)]
 
     def learn(self) -> bool | None:
         """Take response, usual factor and shift from the frame's largest parts, and say if they show the code.
@@ -336,7 +345,7 @@ class CodeReader:
             likelihood = self._fit(few, part.offsets).likelihood
             likeliest = np.resize(part.offsets[np.argsort(likelihood)[-_NAMED:]], _NAMED)
             named = np.tile(likeliest, len(GAMMAS))
-            likelihood, _, terms = self._fit(few, named, responses=gammas)
+            likelihood, _, terms, _ = self._fit(few, named, responses=gammas)
             tried.append(np.stack([likelihood, named, terms[0]]).reshape(3, len(GAMMAS), _NAMED))
         self._gamma = int(sum(likelihood.max(axis=1) for likelihood, _, _ in tried).argmax())
         found = [each[1:, self._gamma, each[0, self._gamma].argmax()] for each in tried]
@@ -360,7 +369,7 @@ class CodeReader:
     def _largest(self) -> list[Integers]:
         """Return the blocks of the largest parts."""
         roots, counts = np.unique(self.blocks.root, return_counts=True)
-        largest = [np.flatnonzero(self.blocks.root == root) for root in roots[np.argsort(counts)[-_TELLING:]]]
+        largest = self.blocks_of(roots[np.argsort(counts)[-_TELLING:]])
         return [some for some in largest if len(self.offsets(some))]
 
     def _shift_near(self, parts: list[PartBlocks], offsets: list[int]) -> float:
@@ -383,7 +392,7 @@ class CodeReader:
         for which, offset in zip(parts, offsets, strict=True):
             part, here, orders = self._part(which), np.array([offset]), self.blocks.order[which]
             terms = self._fit(_thinned(part.values, _SOME), here).terms
-            departs = self._flat(part, here, terms, _AROUND, 1)[0] - self.expected(which, orders + offset)[0]
+            departs = self._flat(part, here, terms, _AROUND, 1)[0] - self.expected(which, orders + offset)
             departs -= np.median(departs)
             most = _MOST_APART * robust_sigma(departs)
             departs = np.clip(departs, -most, most)
@@ -414,7 +423,7 @@ class CodeReader:
                 few, offsets = _thinned(self._part(some).values, _FEW), self.offsets(some)
                 each, further = np.repeat(offsets, len(shifts)), np.tile(shifts, len(offsets))
                 by_offset = self._fit(few, each, shifts_px=further).likelihood.reshape(len(offsets), -1)
-                even, other, _ = self._fit_with_even(few, offsets[:0])
+                even, other, *_ = self._fit_with_even(few, offsets[:0])
                 total += np.logaddexp.reduce(by_offset, axis=0) - np.log(len(offsets)) - np.logaddexp(even, other)
         total, self._gamma, self._each_counts = totals[totals.max(axis=1).argmax()], own, counts
         off = np.abs(shifts - shifts[total.argmax()])

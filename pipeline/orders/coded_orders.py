@@ -31,6 +31,8 @@ from tikernels.unwrapping.patches import MIN_REGION_PX, PatchGraph
 # How probably a piece that the labels have cut off, which hangs together with its region, has that one's orders before
 # its own blocks are asked; and from which probability on it is no piece of its own.
 _SAME_SURFACE = 0.9
+# Which share of a part's pixels may have moved before the part is read anew.
+_MOST_MOVED = 0.1
 
 
 @dataclass(frozen=True)
@@ -75,40 +77,40 @@ def find_absolute_orders(
     order_range : OrderRange, optional
         What else is known of the orders.
     """
-
-    def reader_of(graph: PatchGraph) -> CodeReader:
-        return CodeReader(read_blocks(sums, graph, width, noise), code, columns)
-
-    reader = reader_of(graph)
+    blocks = read_blocks(sums, graph, width, noise)
+    reader = CodeReader(blocks, code, columns)
     readable = reader.learn()
     elsewhere = None if reader.is_plain and not reader.is_far else reader.shift_anywhere()
     if readable and not reader.is_far and elsewhere is not None and code.cell_px is not None:
         elsewhere = elsewhere if abs(elsewhere - reader.shift_px) > code.cell_px else None  # it was found here
     if elsewhere is not None or readable is False or reader.is_far:
         return _unread(graph, order_range if elsewhere is None else None, elsewhere)
+
+    def read_again(roots: npt.NDArray[np.int32]) -> CodeReader:
+        anew = read_blocks(sums, graph._replace(root=roots), width, noise, blocks.ripple)
+        return reader.again(CodeReader(anew, code, columns))
+
     roots, main = cut_regions(reader, graph, width, order_range)
     if (main >= 0).any():
-        reader = reader.again(reader_of(graph._replace(root=roots)))
+        reader = read_again(roots)
     parts, read, posteriors = _placed(reader, graph, width, roots, main)
-    if (main >= 0).any():
-        roots = _rejoined(roots, main, graph, dict(zip(parts.tolist(), read, strict=True)), posteriors)
-        reader = reader.again(reader_of(graph._replace(root=roots)))
+    rejoined = _rejoined(roots, main, graph, dict(zip(parts.tolist(), read, strict=True)), posteriors)
+    if (rejoined != roots).any():
+        reader, roots = read_again(rejoined), rejoined
         parts, read, posteriors = _placed(reader, graph, width, roots, main)
     lacks, errors = np.zeros(len(roots), np.int64), np.ones(len(roots))
     for part, posterior in zip(parts, posteriors, strict=True):
         lacks[part], errors[part] = posterior.best, posterior.error(posterior.best)
     settled = settle_borders(reader, graph, roots, lacks[roots], errors[roots])
-    if (settled.roots != roots).any():
-        standing = _standing(settled.roots, graph)
-        roots, main = standing[settled.roots], np.where(main >= 0, standing[main], -1)
-        graph = graph._replace(offset=(graph.offset + settled.shifts).astype(np.int32))
-        if order_range is not None:
-            least, most = order_range.least - settled.shifts, order_range.most - settled.shifts
-            order_range = replace(order_range, least=least, most=most)
-        reader = reader.again(reader_of(graph._replace(root=roots)))
-        parts, read, posteriors = _placed(reader, graph, width, roots, main)
+    graph = graph._replace(offset=(graph.offset + settled.shifts).astype(np.int32))
+    before, roots = roots, settled.roots
+    if _much_moved(before, roots, graph):
+        standing = _standing(roots, graph)
+        roots, main = standing[roots], np.where(main >= 0, standing[main], -1)
+        parts, _, posteriors = _placed(read_again(roots), graph, width, roots, main)
     if order_range is not None:
-        ranges = order_range.by_part(roots, parts, graph.pixels)
+        least, most = order_range.least - settled.shifts, order_range.most - settled.shifts
+        ranges = replace(order_range, least=least, most=most).by_part(roots, parts, graph.pixels)
         posteriors = [
             within.narrow(posterior) if posterior is not NOTHING_KNOWN else within.alone()
             for within, posterior in zip(ranges, posteriors, strict=True)
@@ -158,6 +160,14 @@ def _placed(
             certain = 1 - region.error(region.best)
             posteriors[k] = posteriors[k].beside(region.best, _SAME_SURFACE * certain)
     return parts, read, posteriors
+
+
+def _much_moved(before: npt.NDArray[np.int32], roots: npt.NDArray[np.int32], graph: PatchGraph) -> bool:
+    """Return whether so much of a part is now another one's, or its root is, that its posterior no longer holds."""
+    moved = before != roots
+    ends, px = np.append(before[moved], roots[moved]), np.tile(graph.pixels[moved], 2)
+    much = np.bincount(ends, px, len(roots)) > _MOST_MOVED * np.bincount(before, graph.pixels, len(roots))
+    return bool(much.any() or (roots[roots] != roots).any())
 
 
 def _standing(roots: npt.NDArray[np.int32], graph: PatchGraph) -> npt.NDArray[np.int32]:

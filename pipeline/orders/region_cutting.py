@@ -138,7 +138,7 @@ def _shown(
     """Weigh the blocks of a region, less its factor, against the code at each offset, and look for other ones."""
     blocks, best = reader.blocks, reader.read(own).best
     level = reader.flattened(own, best, _AROUND)
-    departs = level - reader.expected(own, blocks.order[own] + best)[0]
+    departs = level - reader.expected(own, blocks.order[own] + best)
     usual = np.median(departs)
     sigma = np.sqrt(blocks.variance[own] + max(_MIN_SIGMA, robust_sigma(departs - usual)) ** 2)
     columns = reader.columns[own] / np.float32(reader.code.repeats_px)

@@ -79,5 +79,5 @@ def reader_of(name, rows, columns, lacks, *, root=0, gamma=2.0, factor=0.0, nois
     contrast = levels[GAMMAS.index(gamma), y + lacks, code.place_at(along)] + factor
     contrast = contrast + np.random.default_rng(seed).normal(0, noise, len(y))
     one = np.ones(len(y))
-    held = np.arange(len(y)), y * columns + x, one
+    held = np.arange(len(y)), y * columns + x, one, np.zeros(2)
     return CodeReader(Blocks(root, y, place, contrast, noise**2 * one, 100 * one, 0 * one, *held), code, seen)

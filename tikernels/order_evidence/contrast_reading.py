@@ -48,13 +48,6 @@ SUMS = 6
 
 
 @ti.func
-def cycle_weight(phase: f32) -> f32:
-    """How much a pixel counts for its cycle's contrast."""
-    inside = 1.0 - phase * phase / (PI * PI)
-    return inside * inside
-
-
-@ti.func
 def cosine(turns: f32) -> f32:
     """Cosine of a whole turn's fraction, to two hundredths: a smooth step from crest to trough."""
     half = 2.0 * ti.abs(turns - ti.round(turns))
@@ -101,24 +94,26 @@ def measure_contrast_kernel(mixed: bool) -> Any:
                 for slot in range(ORDER_SLOTS):
                     for k in range(SUMS * BLOCKS):
                         out_sums[patch, slot, k] = 0.0
+            # Within a cell the gains hardly change: along its middle column as in a straight line.
+            middle = (left + right) // 2
+            first = means * gain_at(gains, spacing_px, top, middle)
+            change = (means * gain_at(gains, spacing_px, bottom, middle) - first) / (bottom - top)
             # Down a column a cycle's pixels follow each other.
             for x in range(left, right):
                 block = (x - left) // BLOCK_WIDTH
-                label, sums, background = NOTHING, vec6(0.0), vec3(0.0)
+                label, sums = NOTHING, vec6(0.0)
                 for y in range(top, bottom):
-                    if y & 3 == 0:  # one gain serves four rows of a cell
-                        gain = gain_at(gains, spacing_px, y + 2, (left + right) // 2)
-                        background = means * gain
-                    if labels[y, x] != label:
+                    here = labels[y, x]
+                    if here != label:
                         add_cycle(label, sums, block, cells, draft_bits, out_sums)
-                        label, sums = labels[y, x], vec6(0.0)
+                        label, sums = here, vec6(0.0)
                     if label >= 0:
                         channels = neutral_light(color_at(image, y, x), unmixing, besides, surface_labels, y, x, mixed)
-                        light = background.dot(channels)
-                        ripple = 1.5 / PI * phase[y, x]
-                        wave = cosine(ripple), cosine(ripple - 0.25)
-                        seen = vec6(1.0, modulation[y, x], light, phase[y, x], wave[0], wave[1])
-                        sums += cycle_weight(phase[y, x]) * seen
+                        light = (first + (y - top) * change).dot(channels)
+                        angle = phase[y, x]
+                        ripple, within = 1.5 / PI * angle, 1.0 - angle * angle / (PI * PI)
+                        seen = vec6(1.0, modulation[y, x], light, angle, cosine(ripple), cosine(ripple - 0.25))
+                        sums += within * within * seen
                 add_cycle(label, sums, block, cells, draft_bits, out_sums)
 
     return measure_contrast
@@ -160,17 +155,8 @@ def measure_contrast(
     modulation = checks.read_array("modulation", modulation, patches.shape, np.float32)
     sums = runtime.empty((patches.count, ORDER_SLOTS, SUMS * BLOCKS), np.float32)
     surfaces = crosstalk.surfaces
-    light = (
-        image,
-        surfaces.labels,
-        surfaces.unmixing,
-        surfaces.ambient,
-        crosstalk.inverse,
-        gains.gains,
-        gains.spacing_px,
-        phase,
-        modulation,
-    )
+    light = (image, surfaces.labels, surfaces.unmixing, surfaces.ambient, crosstalk.inverse)
+    seen = (gains.gains, gains.spacing_px, phase, modulation)
     of_patches = (patches.labels, patches.cell_table, patches.draft_bits)
-    measure_contrast_kernel(surfaces.mixed)(*light, *of_patches, sums)
+    measure_contrast_kernel(surfaces.mixed)(*light, *seen, *of_patches, sums)
     return runtime.to_host(sums).reshape(patches.count, ORDER_SLOTS, BLOCKS, SUMS)  # synchronises

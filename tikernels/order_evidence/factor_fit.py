@@ -29,7 +29,9 @@ from tikernels._taichi import (
     vec4,
     vec32,
 )
+from tikernels.arrays import F32
 from tikernels.launching import kernel
+from tikernels.unwrapping.patches import one_thread_is_faster
 from tikernels.unwrapping.tables import add_alone
 
 #: What a block's contrast deviates by beside the camera's noise (natural logarithm) where a symbol is one cell, each
@@ -44,6 +46,8 @@ _ROUNDS, _HALVINGS = 3, 10
 LEVELS = 8
 #: In place of a response's number: as if all blocks showed the same level, or each one by itself.
 EVEN = -1
+# So many blocks of a fit take a CPU thread as long as a patch takes.
+_BLOCKS_A_PATCH = 10
 # Farther than any contrast, and a difference of two that is none.
 _FAR, _LEAST = 1e6, 1e-5
 
@@ -74,6 +78,8 @@ class Fitted(NamedTuple):
     """(K,) under EVEN the same if each block, or cycle, has a level by itself; else 0."""
     terms: npt.NDArray[np.float64]
     """(4, K) of the factor: how much of 1, and of those in `Row`."""
+    departs: F32
+    """(K, n) what the fit leaves of the blocks."""
 
 
 @ti.func
@@ -197,6 +203,7 @@ def any_level(values: Static, left: Static, any_of: Static, f: i32, by_cycle: i3
 
 @kernel
 def fit_factors_kernel(
+    serial: Static,  # whether one thread does it
     values: F32Array2,  # (ROWS, n) see `Row`
     level: F32Array2,  # (1 or K, n) the blocks' contrasts: for all fits, or for each
     levels: F32Array3,  # (responses, cycles, places) the code's
@@ -212,6 +219,7 @@ def fit_factors_kernel(
     out: F32Array2,  # (K, 6) logarithm of the likelihood, the same of other levels, and the factor's terms
 ):
     """Fit each factor, and weigh what it leaves."""
+    ti.loop_config(serialize=serial)
     for f in range(offsets.shape[0]):
         offset, response, count = offsets[f], responses[f], values.shape[1]
         for n in range(count):
@@ -266,6 +274,7 @@ def plane_at(values: Static, terms: Static, f: i32, n: i32) -> f32:
 
 @kernel
 def flatten_kernel(
+    serial: Static,  # whether one thread does it
     values: F32Array2,  # (ROWS, n) see `Row`
     cells: I32Array2,  # (3, n) row, column and class of brightness
     levels: F32Array3,  # (responses, cycles, places) the code's
@@ -280,6 +289,7 @@ def flatten_kernel(
     out: F32Array2,  # (K, wanted)
 ):
     """Take off the blocks' contrasts what the factor, and the blocks around, are off the code."""
+    ti.loop_config(serialize=serial)
     for f in range(offsets.shape[0]):
         line = sums.shape[2] // (rows + 1)
         for k, cell in ti.ndrange(sums.shape[0], sums.shape[2]):
@@ -344,25 +354,16 @@ def fit_factors(
     level : (K, n) float32, optional
         The blocks' contrasts in each fit, if not as they were seen.
     """
-    count = len(offsets)
-    departs, out = runtime.empty((count, values.shape[1]), np.float32), np.empty((count, 6), np.float32)
-    fit_factors_kernel(
-        values,
-        values[: Row.LEVEL + 1] if level is None else level,
-        levels,
-        offsets.astype(np.int32),
-        np.broadcast_to(responses, count).astype(np.int32),
-        np.broadcast_to(shifts, count).astype(np.float32),
-        any_of,
-        gain[0] or 0.0,
-        gain[1],
-        gain[0] is not None,
-        by_cycle,
-        departs,
-        out,
-    )
+    count, blocks = len(offsets), values.shape[1]
+    departs, out = runtime.empty((count, blocks), np.float32), np.empty((count, 6), np.float32)
+    seen = values, values[: Row.LEVEL + 1] if level is None else level, levels
+    at_each = offsets.astype(np.int32), np.broadcast_to(responses, count).astype(np.int32)
+    further = np.broadcast_to(shifts, count).astype(np.float32)
+    rule = any_of, gain[0] or 0.0, gain[1], gain[0] is not None, by_cycle
+    serial = one_thread_is_faster(count * blocks // _BLOCKS_A_PATCH)
+    fit_factors_kernel(serial, *seen, *at_each, further, *rule, departs, out)
     likelihood, other, *terms = out.T.astype(np.float64)
-    return Fitted(likelihood, other, np.array(terms))
+    return Fitted(likelihood, other, np.array(terms), departs)
 
 
 def flatten(
@@ -407,5 +408,6 @@ def flatten(
     sums = runtime.empty((2 * classes, len(offsets), (rows + 1) * (columns + 1)), np.float32)
     out = np.empty((len(offsets), -(-values.shape[1] // step)), np.float32)
     at_each = offsets.astype(np.int32), np.ascontiguousarray(terms.T, np.float32)
-    flatten_kernel(values, cells, levels, *at_each, response, rows, *reach, step, sums, out)
+    serial = one_thread_is_faster(len(offsets) * values.shape[1] // _BLOCKS_A_PATCH)
+    flatten_kernel(serial, values, cells, levels, *at_each, response, rows, *reach, step, sums, out)
     return out

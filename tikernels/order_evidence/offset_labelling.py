@@ -17,14 +17,17 @@ from tikernels._taichi import (
     F32Array2,
     I32Array1,
     I32Array2,
+    Static,
     Vec16Array1,
     Vec16Array2,
+    Vec16Array3,
     f32,
     i32,
     ti,
     vec16,
 )
 from tikernels.launching import kernel
+from tikernels.unwrapping.patches import one_thread_is_faster
 from tikernels.unwrapping.tables import add_alone
 
 #: Offsets that are looked at together (a vec16), and as many labels as there may be.
@@ -37,6 +40,7 @@ _NEVER = 1e30
 
 @kernel
 def weigh_offsets_kernel(
+    serial: Static,  # whether one thread does it
     block: I32Array1,  # (M,) of each share
     patch: I32Array1,  # (M,) and the patch that holds it
     share: F32Array1,  # (M,) how much it counts
@@ -47,11 +51,11 @@ def weigh_offsets_kernel(
     code: F32Array2,  # (cycles, places) the code's levels
     first_offset: i32,
     most: f32,  # what a block may deviate by, in standard deviations
-    out_squares: Vec16Array2,  # (P, groups of offsets); 0 to begin with
-    out_departs: Vec16Array2,  # (P, groups)
+    out_sums: Vec16Array3,  # (P, groups of offsets, 2) see `OffsetEvidence`; 0 to begin with
 ):
     """Sum up by how much the blocks deviate from the code, and the squares of that."""
-    for group in range(out_squares.shape[1]):
+    ti.loop_config(serialize=serial)
+    for group in range(out_sums.shape[1]):
         for m in range(block.shape[0]):
             n = block[m]
             square, depart = vec16(most * most), vec16(0.0)
@@ -63,12 +67,13 @@ def weigh_offsets_kernel(
                 place = ti.max(ti.min(place, code.shape[1] - 1), 0)  # not a number where nothing is met
                 depart[k] = ti.max(ti.min((level[n] - code[first + k, place]) / sigma[n], most), -most)
                 square[k] = depart[k] * depart[k]
-            add_alone(out_squares[patch[m], group], share[m] * square)
-            add_alone(out_departs[patch[m], group], share[m] * depart)
+            add_alone(out_sums[patch[m], group, 0], share[m] * square)
+            add_alone(out_sums[patch[m], group, 1], share[m] * depart)
 
 
 @kernel
 def pool_evidence_kernel(
+    serial: Static,  # whether one thread does it
     starts: I32Array1,  # (P + 1,) of each patch's neighbours
     neighbours: I32Array1,  # (2 C,) patches
     weights: F32Array1,  # (2 C,) of their evidence
@@ -77,6 +82,7 @@ def pool_evidence_kernel(
     out_pooled: Vec16Array2,  # (P, groups)
 ):
     """Add to each patch's evidence what its neighbours have pooled in the round before."""
+    ti.loop_config(serialize=serial)
     for patch in range(evidence.shape[0]):
         for group in range(evidence.shape[1]):
             total = evidence[patch, group]
@@ -87,6 +93,7 @@ def pool_evidence_kernel(
 
 @kernel
 def settle_labels_kernel(
+    serial: Static,  # whether one thread does it
     starts: I32Array1,  # (P + 1,) of each patch's neighbours
     neighbours: I32Array1,  # (2 C,) patches
     costs: F32Array1,  # (2 C,) of a different label there
@@ -98,6 +105,7 @@ def settle_labels_kernel(
     Half of the patches at a time: neighbours that change together would swap for ever.
     """
     for half in ti.static(range(2)):
+        ti.loop_config(serialize=serial)
         for patch in range(evidence.shape[0]):
             best = out_labels[half, patch]
             if patch % 2 == half:
@@ -137,10 +145,8 @@ class Links(NamedTuple):
 class OffsetEvidence(NamedTuple):
     """What the blocks of each patch say of each offset."""
 
-    squares: npt.NDArray[np.float32]
-    """(P, groups, LANES) squared deviations from the code, in variances."""
-    departs: npt.NDArray[np.float32]
-    """(P, groups, LANES) deviations, in standard deviations."""
+    sums: npt.NDArray[np.float32]
+    """(P, groups, 2, LANES) squared deviations from the code, in variances, and deviations, in standard deviations."""
     weight: npt.NDArray[np.float32]
     """(P,) as how many blocks they count."""
     offsets: int
@@ -148,7 +154,7 @@ class OffsetEvidence(NamedTuple):
 
     def of(self, offsets: npt.NDArray[np.integer]) -> npt.NDArray[np.float32]:
         """Return the squared deviations (P, n) at some offsets, counted from the first one."""
-        return np.ascontiguousarray(self.squares.reshape(len(self.squares), -1)[:, offsets])
+        return np.ascontiguousarray(self.sums[:, offsets // LANES, 0, offsets % LANES])
 
 
 def weigh_offsets(
@@ -185,13 +191,13 @@ def weigh_offsets(
     most : float
         What a block may deviate by, in standard deviations; by so much does one outside the code.
     """
-    sums = np.zeros((2, count, _groups(len(offsets)), LANES), np.float32)
+    sums = np.zeros((count, _groups(len(offsets)), 2, LANES), np.float32)
     block, patch = (np.ascontiguousarray(numbers, np.int32) for numbers in held[:2])
     share = held[2].astype(np.float32)
     seen = (np.ascontiguousarray(order, np.int32), level.astype(np.float32), sigma.astype(np.float32))
     expected = np.ascontiguousarray(columns, np.float32), np.ascontiguousarray(code, np.float32)
-    weigh_offsets_kernel(block, patch, share, *seen, *expected, offsets.start, most, sums[0], sums[1])
-    return OffsetEvidence(sums[0], sums[1], np.bincount(patch, share, count).astype(np.float32), len(offsets))
+    weigh_offsets_kernel(one_thread_is_faster(count), block, patch, share, *seen, *expected, offsets.start, most, sums)
+    return OffsetEvidence(sums, np.bincount(patch, share, count).astype(np.float32), len(offsets))
 
 
 def pool_evidence(
@@ -214,9 +220,9 @@ def pool_evidence(
     """
     alone = _in_groups(evidence, 0.0)
     before, pooled = alone, np.empty_like(alone)
-    weight = weights[links.contact].astype(np.float32)
+    weight, serial = weights[links.contact].astype(np.float32), one_thread_is_faster(len(evidence))
     for _ in range(_ROUNDS):
-        pool_evidence_kernel(links.starts, links.neighbours, weight, alone, before, pooled)
+        pool_evidence_kernel(serial, links.starts, links.neighbours, weight, alone, before, pooled)
         before, pooled = pooled, np.empty_like(alone)
     return before.reshape(len(evidence), -1)[:, : evidence.shape[1]]
 
@@ -244,12 +250,12 @@ def settle_labels(
     -------
     (P,) int32
     """
-    cost = costs[links.contact].astype(np.float32)
+    cost, serial = costs[links.contact].astype(np.float32), one_thread_is_faster(len(evidence))
     settled = np.stack([labels, labels]).astype(np.int32)
     all_labels = _in_groups(evidence, _NEVER)[:, 0]
     for _ in range(_SWEEPS):
         before = settled[0].copy()
-        settle_labels_kernel(links.starts, links.neighbours, cost, all_labels, settled)
+        settle_labels_kernel(serial, links.starts, links.neighbours, cost, all_labels, settled)
         if np.array_equal(settled[0], before):
             break
     return np.asarray(settled[0])

@@ -9,20 +9,19 @@ which of them it shows.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from tikernels._taichi import (
-    F32Array2,
     F32Array3,
     I32Array1,
     I32Array2,
     I32Array3,
     Static,
-    Vec16Array2,
+    Vec16Array3,
     f32,
     i32,
     ti,
@@ -30,55 +29,58 @@ from tikernels._taichi import (
 )
 from tikernels.launching import kernel
 from tikernels.order_evidence.offset_labelling import LANES, OffsetEvidence
+from tikernels.unwrapping.patches import one_thread_is_faster
 
 # Levels of brightness, evenly spaced between these quantiles of the cells'.
 _LEVELS, _FROM_TO = 8, (0.02, 0.98)
 # Pieces of fewer cells than the smallest windows are not asked.
 _LEAST_CELLS = 9
+# What `find_other_offsets` is told of the windows: most_columns, common and least.
+_Rule: TypeAlias = tuple[float, float, float]
 
 
 @kernel
 def sum_tables_kernel(
+    serial: Static,  # whether one thread does it
     patch: I32Array1,  # (P,) sorted by cell
     starts: I32Array1,  # (R * C + 1,) where each cell's begin
     columns: i32,  # C, of cells
-    values: Vec16Array2,  # (P, groups)
-    out_table: Vec16Array2,  # ((R + 1) * (C + 1), groups) sum of all cells before; 0 to begin with
+    values: Vec16Array3,  # (P, groups, 2)
+    out_table: Vec16Array3,  # ((R + 1) * (C + 1), groups, 2) sum of all cells before; 0 to begin with
 ):
     """Sum up the patches of a grid's cells above and to the left: four places of the table give a window's sum."""
-    for group in range(values.shape[1]):
+    ti.loop_config(serialize=serial)
+    for group, kind in ti.ndrange(values.shape[1], 2):
         for row in range((starts.shape[0] - 1) // columns):
             total = vec16(0.0)
             for column in range(columns):
                 cell = row * columns + column
                 for p in range(starts[cell], starts[cell + 1]):
-                    total += values[patch[p], group]
+                    total += values[patch[p], group, kind]
                 here = (row + 1) * (columns + 1) + column + 1
-                out_table[here, group] = total + out_table[here - columns - 1, group]
+                out_table[here, group, kind] = total + out_table[here - columns - 1, group, kind]
 
 
 @ti.func
-def window_sum(table: Static, corner: i32, below: i32, beside: i32, group: i32):
+def window_sum(table: Static, corner: i32, below: i32, beside: i32, group: i32, kind: Static):
     """Return the sum of the cells between a place of a table, and those so far below and beside it."""
-    all_of = table[corner + below + beside, group] - table[corner + below, group]
-    return all_of - table[corner + beside, group] + table[corner, group]
+    all_of = table[corner + below + beside, group, kind] - table[corner + below, group, kind]
+    return all_of - table[corner + beside, group, kind] + table[corner, group, kind]
 
 
 @ti.func
-def window_remains(squares: Static, departs: Static, scale: f32, corner: i32, below: i32, beside: i32, group: i32):
+def window_remains(table: Static, scale: f32, corner: i32, below: i32, beside: i32, group: i32):
     """Return what is left of a window's squares where its blocks are all off alike."""
-    depart = window_sum(departs, corner, below, beside, group)
-    return window_sum(squares, corner, below, beside, group) - scale * depart * depart
+    depart = window_sum(table, corner, below, beside, group, 1)
+    return window_sum(table, corner, below, beside, group, 0) - scale * depart * depart
 
 
 @ti.func
-def best_offset(
-    squares: Static, departs: Static, scale: f32, corner: i32, below: i32, beside: i32, offsets: i32, own: i32, now: f32
-):
+def best_offset(table: Static, scale: f32, corner: i32, below: i32, beside: i32, offsets: i32, own: i32, now: f32):
     """Return which offset leaves least of a window's squares, and by how much less than the region's."""
     best, better = own, 0.0
-    for group in range(squares.shape[1]):
-        remains = window_remains(squares, departs, scale, corner, below, beside, group)
+    for group in range(table.shape[1]):
+        remains = window_remains(table, scale, corner, below, beside, group)
         for k in ti.static(range(LANES)):
             if group * LANES + k < offsets and now - remains[k] > better:
                 best, better = group * LANES + k, now - remains[k]
@@ -87,10 +89,10 @@ def best_offset(
 
 @kernel
 def scan_windows_kernel(
+    serial: Static,  # whether one thread does it
     windows: I32Array2,  # (W, 2) cells, rows by columns
-    weights: F32Array2,  # ((R + 1) * (C + 1), 1) table of what the blocks count
-    squares: Vec16Array2,  # table, ((R + 1) * (C + 1), groups)
-    departs: Vec16Array2,  # table
+    weights: F32Array3,  # ((R + 1) * (C + 1), 1, 1) table of what the blocks count
+    table: Vec16Array3,  # ((R + 1) * (C + 1), groups, 2) of the patches' sums
     offsets: i32,  # how many there are
     own: i32,  # the region's
     common: f32,  # variance of what all blocks of a window may be off alike, in variances
@@ -99,6 +101,7 @@ def scan_windows_kernel(
     out_offset: I32Array3,  # (W, R, C) the best offset
 ):
     """Find for each window, by its first cell, which offset its blocks fit best, and by how much better than theirs."""
+    ti.loop_config(serialize=serial)
     for row, column in ti.ndrange(out_gain.shape[1], out_gain.shape[2]):
         for w in range(windows.shape[0]):
             best, better = own, 0.0
@@ -108,13 +111,13 @@ def scan_windows_kernel(
             if steps == 0 and row + high <= out_gain.shape[1] and column + wide <= out_gain.shape[2]:
                 line = out_gain.shape[2] + 1
                 corner, below = row * line + column, high * line
-                scale = 1 / (window_sum(weights, corner, below, wide, 0) + 1 / common)
-                remains = window_remains(squares, departs, scale, corner, below, wide, own // LANES)
+                scale = 1 / (window_sum(weights, corner, below, wide, 0, 0) + 1 / common)
+                remains = window_remains(table, scale, corner, below, wide, own // LANES)
                 now = 0.0
                 for k in ti.static(range(LANES)):
                     now += ti.select(k == own % LANES, remains[k], 0.0)
                 if now > least:
-                    best, better = best_offset(squares, departs, scale, corner, below, wide, offsets, own, now)
+                    best, better = best_offset(table, scale, corner, below, wide, offsets, own, now)
             out_gain[w, row, column] = better
             out_offset[w, row, column] = best
 
@@ -190,8 +193,8 @@ def find_other_offsets(
     (K,) float32
         By how much it is better, in variances.
     """
-    scanned = _scan(evidence, cells, own, windows, most_columns, common, least)
-    pieces = _pieces(evidence, cells, brightness, own, most_columns, common, least)
+    rule = most_columns, common, least
+    scanned, pieces = _scan(evidence, cells, own, windows, rule), _pieces(evidence, cells, own, brightness, rule)
     places, gain = [*scanned.cells, *pieces.cells], np.append(scanned.gain, pieces.gain)
     taken = np.full((cells.rows, cells.columns), -1, np.int64)
     chosen: list[int] = []
@@ -203,31 +206,20 @@ def find_other_offsets(
     return taken[cells.row, cells.column], offset, gain[chosen].astype(np.float32)
 
 
-def _scan(
-    evidence: OffsetEvidence,
-    cells: Cells,
-    own: int,
-    windows: npt.NDArray[np.int32],
-    most_columns: float,
-    common: float,
-    least: float,
-) -> _Found:
+def _scan(evidence: OffsetEvidence, cells: Cells, own: int, windows: npt.NDArray[np.int32], rule: _Rule) -> _Found:
     """Lay windows everywhere."""
-    rows, columns = cells.rows, cells.columns
+    (most_columns, common, least), rows, columns = rule, cells.rows, cells.columns
     windows = np.minimum(windows, (rows, columns)).astype(np.int32)
     cell = cells.number
     sort = np.argsort(cell, kind="stable")
-    starts = np.searchsorted(cell[sort], np.arange(rows * columns + 1)).astype(np.int32)
-    groups = evidence.squares.shape[1]
-    tables = np.zeros((2, (rows + 1) * (columns + 1), groups, LANES), np.float32)
-    for values, table in zip((evidence.squares, evidence.departs), tables, strict=True):
-        sum_tables_kernel(sort.astype(np.int32), starts, columns, values, table)
+    starts = np.searchsorted(cell[sort], np.arange(rows * columns + 1))
+    table = _sum_table(sort, starts, columns, evidence.sums)
     weights = np.zeros((rows + 1, columns + 1), np.float32)
     weights[1:, 1:] = np.bincount(cell, evidence.weight, rows * columns).reshape(rows, columns).cumsum(0).cumsum(1)
     gain = np.empty((len(windows), rows, columns), np.float32)
     offset = np.empty(gain.shape, np.int32)
-    summed = weights.reshape(-1, 1), tables[0], tables[1]
-    scan_windows_kernel(windows, *summed, evidence.offsets, own, common, least, gain, offset)
+    tables, numbers = (weights.reshape(-1, 1, 1), table), (evidence.offsets, own, common, least)
+    scan_windows_kernel(one_thread_is_faster(len(sort)), windows, *tables, *numbers, gain, offset)
     gain *= np.minimum(1, most_columns / windows[:, 1])[:, None, None]
     found = np.nonzero(gain > least)
     high, wide = windows[found[0]].T
@@ -238,16 +230,22 @@ def _scan(
     return _Found(places, offset[found], gain[found])
 
 
+def _sum_table(
+    patch: npt.NDArray[np.integer], starts: npt.NDArray[np.integer], columns: int, values: npt.NDArray[np.float32]
+) -> npt.NDArray[np.float32]:
+    """Return a table of sums of patches' values (P, groups, 2, LANES); see `sum_tables_kernel`."""
+    rows = (len(starts) - 1) // columns
+    table = np.zeros(((rows + 1) * (columns + 1), *values.shape[1:]), np.float32)
+    places = patch.astype(np.int32), starts.astype(np.int32)
+    sum_tables_kernel(one_thread_is_faster(len(patch)), *places, columns, values, table)
+    return table
+
+
 def _pieces(
-    evidence: OffsetEvidence,
-    cells: Cells,
-    brightness: npt.NDArray[np.floating],
-    own: int,
-    most_columns: float,
-    common: float,
-    least: float,
+    evidence: OffsetEvidence, cells: Cells, own: int, brightness: npt.NDArray[np.floating], rule: _Rule
 ) -> _Found:
     """Ask the pieces above and below levels of brightness. Of more than half of the cells the region has its offset."""
+    most_columns, common, least = rule
     cell, count, shape = cells.number, cells.rows * cells.columns, (cells.rows, cells.columns)
     weight = np.bincount(cell, evidence.weight, count)
     seen = weight > 0
@@ -270,10 +268,11 @@ def _pieces(
     held = held[np.argsort(of_patch.ravel()[held], kind="stable")]
     starts = np.flatnonzero(np.diff(of_patch.ravel()[held], prepend=-1))
     number, patch = of_patch.ravel()[held[starts]], held % len(cell)
-    squares, departs, weights = (
-        np.add.reduceat(values.reshape(len(cell), -1)[patch], starts, axis=0)
-        for values in (evidence.squares, evidence.departs, evidence.weight)
-    )
+    # As a row of cells, whose table adds up.
+    table = _sum_table(patch, np.append(starts, len(held)), len(starts), evidence.sums)
+    of_pieces = np.diff(table[len(starts) + 1 :], axis=0)
+    squares, departs = np.moveaxis(of_pieces, 2, 0).reshape(2, len(starts), -1)
+    weights = np.add.reduceat(evidence.weight[patch], starts)[:, None]
     remains = (squares - departs**2 / (weights + 1 / common))[:, : evidence.offsets]
     best = remains.argmin(axis=1)
     gain = remains[:, own] - remains.min(axis=1)

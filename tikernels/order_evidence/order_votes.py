@@ -148,4 +148,4 @@ def vote_orders(
     vote_orders_kernel(phase, *of_patches, before, region_before, change, votes)
     cast = runtime.to_host(votes)  # synchronises
     voting = np.flatnonzero(cast[PATCH] >= 0)
-    return cast[:, voting].T, _vote_places(patches.shape)[:, voting]
+    return cast.take(voting, axis=1).T, _vote_places(patches.shape).take(voting, axis=1)

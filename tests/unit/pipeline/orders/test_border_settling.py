@@ -32,7 +32,7 @@ def differences(name):
     """Return (rows, columns, 2): by how much the code differs, in each patch's blocks, at the two surfaces' orders."""
     reader = reader_of(name, ROWS, COLUMNS, 0)
     which = np.arange(len(reader.blocks.order))
-    one, other = (reader.expected(which, reader.blocks.order + lacks)[0] for lacks in (LEFT, RIGHT))
+    one, other = (reader.expected(which, reader.blocks.order + lacks) for lacks in (LEFT, RIGHT))
     return np.abs(one - other).reshape(ROWS, COLUMNS, 2)
 
 

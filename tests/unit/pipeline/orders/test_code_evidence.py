@@ -141,9 +141,9 @@ def test_another_sequence_is_not_the_code(name, other):
     reader = reader_of(name, 40, 12, 2)
     blocks, own = reader.blocks, reader.levels
     reader.levels = OTHERS[other](own)
-    blocks.contrast[:] += reader.expected(all_of(reader), blocks.order + 2)[0]
+    blocks.contrast[:] += reader.expected(all_of(reader), blocks.order + 2)
     reader.levels = own
-    blocks.contrast[:] -= reader.expected(all_of(reader), blocks.order + 2)[0]
+    blocks.contrast[:] -= reader.expected(all_of(reader), blocks.order + 2)
     assert reader.learn() is False
     found = posterior(reader)
     assert found.error(found.best) > 0.1
@@ -182,7 +182,7 @@ def test_a_surfaces_own_factor_is_taken_off(name):
     evidence = reader.read(all_of(reader))
     found = evidence.posterior(0.0, 0.0, 0.0)
     assert found.best == 20 and found.error(20) < 1e-6
-    seen = reader.fit(all_of(reader), 20).at(blocks.place, blocks.brightness)
+    seen = reader.fit(all_of(reader), 20)[0].at(blocks.place, blocks.brightness)
     np.testing.assert_allclose(seen, Factor.shape(blocks.place, blocks.brightness, middle, 100.0) @ terms, atol=0.01)
 
 
@@ -192,7 +192,7 @@ def test_what_is_off_locally_is_flattened(name):
     corner = (np.arange(20 * 48) % 48 < 20) & (np.arange(20 * 48) // 48 < 10)
     reader = reader_of(name, 20, 24, 12, factor=np.where(corner, -0.1, 0.0), noise=0.004)
     flat = reader.flattened(all_of(reader), 12, (17, 5))
-    departs = flat - reader.expected(all_of(reader), reader.blocks.order + 12)[0]
+    departs = flat - reader.expected(all_of(reader), reader.blocks.order + 12)
     step = abs(departs[corner].mean() - departs[~corner].mean())
     assert step < 0.03
     assert np.std(departs) < 0.02
@@ -214,7 +214,7 @@ def test_cut_cycles_show_more_of_one_neighbour(name, low, high):
         return np.log(seen / (1 - seen)), weight @ phase / weight.sum() / (2 * np.pi)
 
     def expected():
-        return reader.expected(which, order)[0]
+        return reader.expected(which, order)
 
     part, off = mean_over(low, high)
     before = expected()
@@ -233,7 +233,7 @@ def test_the_offsets_that_the_pattern_leaves(name):
     reader.blocks.order[:3] = -30
     np.testing.assert_array_equal(reader.offsets(which), np.arange(40))
     assert len(reader.offsets(which[:0])) == 0
-    _, inside = reader.expected(which[-4:], np.array([-1, 0, 44, 45]))
+    inside = reader.has(which[-4:], np.array([-1, 0, 44, 45]))
     np.testing.assert_array_equal(inside, [False, True, True, False])
 
 
@@ -285,5 +285,5 @@ def test_the_first_code_lies_nowhere():
 def test_a_frame_without_blocks(name):
     code, columns = code_and_columns(name)
     none, whole = np.zeros(0), np.zeros(0, np.int64)
-    reader = CodeReader(Blocks(whole, whole, np.zeros((0, 2)), *[none] * 4, whole, whole, none), code, columns)
+    reader = CodeReader(Blocks(whole, whole, np.zeros((0, 2)), *[none] * 4, whole, whole, none, none), code, columns)
     assert not reader.learn() and reader.shift_anywhere() is None

@@ -15,8 +15,8 @@ def random_evidence(own):
     departs, weight = rng.normal(0, 2, (COUNT, 48)), rng.uniform(1, 3, COUNT)
     squares = departs**2 / weight[:, None] + rng.uniform(0, 9, departs.shape)
     squares[:, own] += 6
-    held = squares.astype(np.float32), departs.astype(np.float32), weight.astype(np.float32)
-    return OffsetEvidence(held[0].reshape(COUNT, 3, LANES), held[1].reshape(COUNT, 3, LANES), held[2], 40)
+    sums = np.stack([squares, departs], axis=1).astype(np.float32).reshape(COUNT, 2, 3, LANES).swapaxes(1, 2)
+    return OffsetEvidence(np.ascontiguousarray(sums), weight.astype(np.float32), 40)
 
 
 def test_windows_as_the_twin(arch):
@@ -24,7 +24,7 @@ def test_windows_as_the_twin(arch):
     own, common, windows = 21, 4.0, np.array([[2, 3], [1, 1], [5, 4], [99, 2]])
     evidence, counts = random_evidence(own), np.array([1.0, 1.0, 0.75, 1.0])
     row, column = np.divmod(np.arange(COUNT), COLUMNS)
-    squares, departs = (values.reshape(COUNT, -1)[:, :40] for values in evidence[:2])
+    squares, departs = (evidence.sums[:, :, kind].reshape(COUNT, -1)[:, :40] for kind in range(2))
     found = []
     for (high, wide), count in zip(np.minimum(windows, [ROWS, COLUMNS]), counts, strict=True):
         for top in range(0, ROWS - high + 1, max(high // 4, 1)):
@@ -57,9 +57,8 @@ def test_pieces_of_like_brightness_are_asked(arch):
     squares = np.full((rows * columns, LANES), 4.0, np.float32)
     squares[:, own] = np.where(dark, 2.5, 1.0)
     squares[dark, other] = 1.0
-    departs = np.zeros_like(squares)
     weight = np.full(len(row), 2.0, np.float32)
-    evidence = OffsetEvidence(squares[:, None], departs[:, None], weight, LANES)
+    evidence = OffsetEvidence(np.stack([squares, 0 * squares], axis=1)[:, None], weight, LANES)
     cells, windows = Cells.of(row, column), np.array([[4, 6]], np.int32)
     rule = {"common": 4.0, "least": 16.0, "most_columns": np.inf}
     for brightness in (np.where(dark, 3.0, 4.0), np.where(dark, 4.0, 3.0)):
