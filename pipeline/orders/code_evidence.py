@@ -299,10 +299,13 @@ class CodeReader:
     def flattened(self, which: Integers, offset: int, around: tuple[int, int]) -> FloatArray:
         """Return the contrasts (n,) of a part's blocks as if its factor were the same all over.
 
-        What so many blocks and rows of patches around each are off the code at this offset is taken off, too.
+        What so many blocks and rows of patches around each that are about as bright are off the code at this offset is
+        taken off, too. That holds the share of ambient light: what a wall's shading tells of it is far off on a dark
+        paint before it.
         """
         read = self.read(which)
-        terms = read.terms[:, offset - read.first, None]
+        terms = read.terms[:, offset - read.first, None].copy()
+        terms[-1] = 0.0
         return np.asarray(self._flat(self._part(which), np.array([offset]), terms, around, 1)[0], np.float64)
 
     def _flat(

@@ -46,6 +46,8 @@ _ROUNDS, _HALVINGS = 3, 10
 LEVELS = 8
 #: In place of a response's number: as if all blocks showed the same level, or each one by itself.
 EVEN = -1
+# At most so much of what is left of a block counts as its surroundings'.
+_MOST_LOCAL = 0.2
 # So many blocks of a fit take a CPU thread as long as a patch takes.
 _BLOCKS_A_PATCH = 10
 # Farther than any contrast, and a difference of two that is none.
@@ -298,7 +300,8 @@ def flatten_kernel(
             expected = terms[f, 0] + plane_at(values, terms, f, n)
             expected += expected_level(values, levels, n, response, offsets[f], 0.0)
             cell = (cells[0, n] + 1) * line + cells[1, n] + 1
-            add_alone(sums[2 * cells[2, n], f, cell], values[Row.LEVEL, n] - expected)
+            depart = ti.max(ti.min(values[Row.LEVEL, n] - expected, _MOST_LOCAL), -_MOST_LOCAL)
+            add_alone(sums[2 * cells[2, n], f, cell], depart)
             add_alone(sums[2 * cells[2, n] + 1, f, cell], 1.0)
         # Of all cells above and to the left: four places give a window's sum.
         for k, row in ti.ndrange(sums.shape[0], (1, rows + 1)):

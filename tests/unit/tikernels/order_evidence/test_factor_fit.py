@@ -132,5 +132,5 @@ def test_flat_levels_as_the_twin(arch):
         plane = terms_of(values, 0.0) @ terms[:, k]
         departs = values[Row.LEVEL] - plane - terms[0, k] - expected(values, levels, 1, offset, 0.0)[0]
         near = (np.abs(cells[:, :, None] - cells[:, None]) <= np.array([1, 2, 1])[:, None, None]).all(axis=0)
-        local = near @ departs / near.sum(axis=1)
+        local = near @ np.clip(departs, -0.2, 0.2) / near.sum(axis=1)
         np.testing.assert_allclose(found[k], (values[Row.LEVEL] - plane - local)[::3], atol=1e-5)
