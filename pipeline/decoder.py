@@ -5,7 +5,6 @@ from contextlib import nullcontext, suppress
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from pipeline.calibration import Calibration
 from pipeline.causes import Cause, Key
@@ -26,9 +25,8 @@ from pipeline.decoding.expected_fringe import ExpectedFringe
 from pipeline.decoding.frame import CameraRays, DecodedFrame, FrameMemory, FrameSetup, Measured
 from pipeline.decoding.frame_reader import FrameReader, LinearFrame
 from pipeline.decoding.front_side import RimVotes, ask_rims
-from pipeline.decoding.light_path import LightPath
+from pipeline.decoding.light_model import LightModel
 from pipeline.decoding.self_calibration import LightEstimate, estimate_light
-from pipeline.decoding.surface_search import FoundSurfaces, NoModelFits, OnlyColor
 from pipeline.decoding.thresholds import frame_levels
 from pipeline.decoding.workspace import Workspace
 from pipeline.errors import CalibrationError, DecodeWarning
@@ -103,15 +101,15 @@ class Decoder:
     ) -> None:
         self.settings = settings or DecodeSettings()
         self.calibration = calibration
-        self._path = LightPath(self.settings, calibration)
+        self._light = LightModel(self.settings, calibration)
         geometry = calibration.geometry() if calibration is not None and calibration.has_geometry else None
         self.rims = RimVotes()
         self._asks_rims = geometry is None and self.settings.projector_side is None
         self._unclear_frames = 0
         plane = None if reference is None else reference.unwrapped_phase.copy()  # its frame may become `out`
-        self._reader = FrameReader(self.settings, self._path, geometry, plane)
+        self._reader = FrameReader(self.settings, self._light, geometry, plane)
         depth_range_mm = None if calibration is None else calibration.depth_range_mm
-        self._orders = OrderFinder(self._path.code, geometry, depth_range_mm)
+        self._orders = OrderFinder(self._light.code, geometry, depth_range_mm)
         self._expected = None if geometry is None else ExpectedFringe.of(geometry, depth_range_mm)
         self._given = None if unwrapper is None else GivenRegions(unwrapper)
         self._pool = BufferPool()
@@ -173,7 +171,7 @@ class Decoder:
             statistics = measure_frame(frame.image, frame.white)
             levels = frame_levels(self.settings, statistics, frame.white)
             period_px = self.settings.camera_period_px or statistics.period_px
-            looks_for_code = self._path.code_unknown
+            looks_for_code = self._light.code_unknown
             with nullcontext() if out is None else out.emptied_on_error():
                 if statistics.period_px is None or period_px is None:
                     clear_buffers(*buffers)
@@ -201,21 +199,21 @@ class Decoder:
     @property
     def code(self) -> CodeName | None:
         """The pattern's code: by the settings, the calibration, or the first frame with fringes; None: none yet."""
-        return None if self._path.code_unknown or self._path.code is None else self._path.code.name
+        return None if self._light.code_unknown or self._light.code is None else self._light.code.name
 
     def use_code(self, code: CodeName | None) -> None:
         """Take what another decoder has seen of a code, instead of looking for one in the first frame with fringes.
 
         A code that settings or calibration state stays.
         """
-        if self._path.code_unknown:
-            self._path.use_code(None if code is None else ContrastCode.named(code))
-            self._orders.code = self._path.code
+        if self._light.code_unknown:
+            self._light.use_code(None if code is None else ContrastCode.named(code))
+            self._orders.code = self._light.code
 
     @property
     def asks_for_light(self) -> bool:
         """Whether the next frame with fringes is to tell the light, of which nothing is known."""
-        return self._path.unknown
+        return self._light.unknown
 
     def use_light(self, light: LightEstimate | None) -> None:
         """Take what another decoder has learnt, instead of asking the first frame; None: nothing could be learnt.
@@ -223,7 +221,7 @@ class Decoder:
         Then a frame's result does not depend on which frames came before it, except for `previous`.
         """
         self.light = light
-        self._path.learn(light)
+        self._light.learn(light)
 
     @property
     def asks_rims(self) -> bool:
@@ -244,25 +242,15 @@ class Decoder:
         surface: SurfaceBuffers,
     ) -> Measured:
         """Go through all stages, from a frame with fringes to its points."""
-        path, work = self._path, self._work(frame, period_px)
-        crosstalk, gains, model, rates = path.crosstalk, work.gains, work.model, work.rates
+        known, work = self._light, self._work(frame, period_px)
+        gains, model, rates = work.gains, work.model, work.rates
         rays = self._setup.rays
         image, motion = self._hold_still(frame, levels, work, memory)
-        # The phase of every pixel: balance, response, each channel's wave, and a fit to all three.
-        correction, cycle = self._measure_cycle(image, crosstalk, levels, work)
-        # Surfaces take the model of a first look where nobody else knows a cycle of the light.
-        first_look = path.surfaces is not None and not path.light_known
-        if first_look:
-            model.fit(crosstalk, correction, cycle, path.contrast_doubt)
-        looked = self._find_surfaces(image, levels, work, correction, cycle, memory)
-        found = looked if isinstance(looked, FoundSurfaces) else None
-        if found is not None:
-            crosstalk, cycle = found.crosstalk, found.template
-            correction, _ = self._measure_cycle(image, crosstalk, levels, work)
-        if found is not None or not first_look:
-            model.fit(crosstalk, correction, cycle, path.contrast_doubt, fixed=found is not None)
+        # The phase of every pixel: balance, response, surfaces, each channel's wave, and a fit to all three.
+        light = known.fit(image, levels, model, before=None if memory is None else memory.surfaces)
+        crosstalk, correction = light.crosstalk, light.correction
         fit = FittedPhase(work.fitted_phase, phases.modulation, phases.precision, phases.misfit, work.brightness)
-        fit_phase(image, model, crosstalk, levels, correction, path.contrast_doubt, out=fit)
+        fit_phase(image, model, crosstalk, levels, correction, known.contrast_doubt, out=fit)
         if motion is not None:
             doubt_motion(motion, phases.precision, out=phases.misfit)
         undo_camera_blur(work.fitted_phase, work.brightness, phases.precision, out=(work.raw_phase, phases.misfit))
@@ -274,9 +262,9 @@ class Decoder:
         patches = work.unwrapper.join(work.phase, phases.modulation, rates)
         smoothed = (work.phase, phases.modulation, rates)
         seen = SeenPhase(image, gains, crosstalk, *smoothed, correction, period_px, float(model.contrast), levels.noise)
-        if path.code_unknown:  # up to here as if there were a code: without, its contrasts look like more surfaces
+        if known.code_unknown:  # up to here as if there were a code: without, its contrasts look like more surfaces
             self.use_code("contrast" if self._orders.shows_a_code(seen, patches) else None)
-            if path.code is None:
+            if known.code is None:
                 return self._measure(frame, levels, period_px, memory, phases, surface)
         placement = self._orders.find(seen, patches, rays, memory)
         if placement.roots is not None:
@@ -301,11 +289,8 @@ class Decoder:
         # Its place.
         if rays is not None:
             triangulate(surface.unwrapped, rays.rays, rays.projector, out=surface.points)
-        mismatch = model.mismatch if found is None else found.mismatch
-        odd = looked if isinstance(looked, NoModelFits) else None if found is None else found.odd
         fast = 0.0 if motion is None else motion.too_fast
-        doubt = np.hypot(mismatch, 0.0 if odd is None else odd.phase_rad) if found is None else found.constant_sigma
-        light = (model.contrast, mismatch, odd, fast, lambda: self._mm_per_rad(surface))
+        doubted = (model.contrast, light.mismatch, light.odd, fast, lambda: self._mm_per_rad(surface))
         order_doubt = placement.warning or lost
         code_lost = order_doubt is not None and order_doubt.key in {"code too weak", "orders guessed"}
         mask = runtime.to_host(surface.mask)  # synchronises
@@ -315,22 +300,22 @@ class Decoder:
             light=self._kept_light(frame, image, levels, work, crosstalk),
             mask=mask,
             n_measured=int(np.count_nonzero(mask)),
-            surfaces=None if isinstance(looked, NoModelFits) else looked,
+            surfaces=light.surfaces,
             stripe_shift_px=placement.shift_px,
             at_rest=self.settings.field_times is None or motion is not None,
             orders=orders,
-            constant_known=path.constant_known,
-            constant_sigma=float(np.hypot(path.constant_sigma, doubt)),
-            mismatch=mismatch,
+            constant_known=known.constant_known,
+            constant_sigma=light.constant_sigma,
+            mismatch=light.mismatch,
             order_doubt=order_doubt,
-            light_doubts=light_doubts(*light, constant_known=path.constant_known, code_lost=code_lost),
+            light_doubts=light_doubts(*doubted, constant_known=known.constant_known, code_lost=code_lost),
         )
 
     def _kept_light(
         self, frame: LinearFrame, image: LevelsImage, levels: FrameLevels, work: Workspace, crosstalk: Crosstalk
     ) -> FrameLight:
         """Return what a frame keeps of its light, of which nothing is written again."""
-        model, white = work.model, self._path.white
+        model, white = work.model, self._light.white
         return FrameLight(
             image=self._pool.keep(image) if frame.shared and image is frame.image else image,
             white=frame.white,
@@ -341,7 +326,7 @@ class Decoder:
             template=model.template,
             crosstalk=crosstalk,
             neutral=np.ones(3, np.float32) if white is None else np.asarray(white / white.mean(), np.float32),
-            coded=self._path.code is not None,
+            coded=self._light.code is not None,
         )
 
     def _find_front(self, surface: SurfaceBuffers, work: Workspace) -> tuple[int, bool]:
@@ -399,8 +384,8 @@ class Decoder:
             found = self._measure(again, levels, period_px, None, measured.phases, measured.surface)
             known = found.orders.known[runtime.to_host(found.surface.region)].sum() / max(1, found.n_measured)
             changed[key] = Changed(
-                read=None if self._path.code is None else float(known),
-                mismatch=found.mismatch if self._path.constant_known and self.light is None else None,
+                read=None if self._light.code is None else float(known),
+                mismatch=found.mismatch if self._light.constant_known and self.light is None else None,
             )
         return changed
 
@@ -414,13 +399,6 @@ class Decoder:
         shift = runtime.to_host(moved)  # synchronises
         return float(np.nanmedian(shift)) if np.isfinite(shift).any() else None
 
-    def _measure_cycle(
-        self, image: LevelsImage, crosstalk: Crosstalk, levels: FrameLevels, work: Workspace
-    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-        """Balance the channels, and return what equalises their phases, and the light's cycle."""
-        work.gains.measure(image, crosstalk, levels)
-        return self._path.cycle(work.model.recover(crosstalk, levels), work.period_px)
-
     def _hold_still(
         self, frame: LinearFrame, levels: FrameLevels, work: Workspace, memory: FrameMemory | None
     ) -> tuple[LevelsImage, FieldMotion | None]:
@@ -428,50 +406,30 @@ class Decoder:
 
         By a first look at the phase, and the frame before.
         """
-        times, path, model = self.settings.field_times, self._path, work.model
+        times, known, model = self.settings.field_times, self._light, work.model
         image, motion = frame.image, None
         if times is None or memory is None:
             return image, motion
         for _ in range(MOTION_TURNS):
-            correction, cycle = self._measure_cycle(image, path.crosstalk, levels, work)
-            model.fit(path.crosstalk, correction, cycle, path.contrast_doubt)
-            fit = fit_phase(image, model, path.crosstalk, levels, correction, path.contrast_doubt)
+            correction = known.fit_neutral(image, levels, model)
+            fit = fit_phase(image, model, known.crosstalk, levels, correction, known.contrast_doubt)
             lag = 0.0
             if motion is None:
                 motion = measure_motion(fit.phase, memory.surface.unwrapped, times, work.period_px)
                 lag = motion.mean_change(fit.modulation)
-            image = hold_still(frame.image, fit, motion, model, path.crosstalk, lag)
+            image = hold_still(frame.image, fit, motion, model, known.crosstalk, lag)
         return image, motion
-
-    def _find_surfaces(
-        self,
-        image: LevelsImage,
-        levels: FrameLevels,
-        work: Workspace,
-        correction: npt.NDArray[np.float32],
-        cycle: npt.NDArray[np.float32],
-        memory: FrameMemory | None,
-    ) -> FoundSurfaces | OnlyColor | NoModelFits | None:
-        """Find what the surfaces' colours make of the crosstalk; None: nothing beyond what the balance undoes."""
-        path, model = self._path, work.model
-        if path.surfaces is None:
-            return None
-        if not path.light_known:
-            cycle = model.template
-        before = None if memory is None else memory.surfaces
-        seen = (image, work.model, path.crosstalk, levels, correction, cycle)
-        return path.surfaces.find(*seen, template_known=path.light_known, before=before)
 
     def _learn_light(self, frame: LinearFrame, levels: FrameLevels, period_px: float, surface: SurfaceBuffers) -> bool:
         """Learn crosstalk and response from a frame that was decoded without them; return whether it told them."""
-        if not self._path.unknown:
+        if not self._light.unknown:
             return False
         phases = runtime.to_host(surface.unwrapped)[runtime.to_host(surface.mask) != 0]  # synchronises
         if phases.size:
             cycles = float(np.ptp(np.quantile(phases, (0.01, 0.99)))) / (2 * np.pi)
             with suppress(CalibrationError):
                 self.light = estimate_light(frame.image, levels, self._work(frame, period_px).period_px, cycles)
-        self._path.learn(self.light)
+        self._light.learn(self.light)
         return self.light is not None and self.light.reliable
 
     def _work(self, frame: LinearFrame, period_px: float) -> Workspace:

@@ -49,6 +49,8 @@ DEFAULT_PROJECTOR_PX = (1024, 768)
 DEFAULT_PERIOD_PX = 768 / 44
 #: What proves the scale of a geometry, in addition to the side of the board's squares.
 ScaleProof = Literal["baseline", "second board"]
+# Light of a pattern in which the response has been undone.
+_LINEAR = np.array([[0.0, 1.0]] * 3)
 _GEOMETRY = ("camera", "projector", "rotation", "translation_mm", "pattern")
 
 
@@ -397,6 +399,12 @@ class Calibration(Model):
     ) -> "Calibration":
         """Return the calibration of the same rig under the pattern of `choose_pattern`."""
         return self.model_copy(update={"pattern": choose_pattern(self, period_px, stripes, code)})
+
+    def responses(self) -> list[FloatArray]:
+        """Return the light of the pattern's codes, (3, N) in 0..1; two where nobody knows whether it is undone."""
+        compensated = None if self.pattern is None else self.pattern.compensated
+        known = [] if self.response is None or compensated else [self.response]
+        return [*known, _LINEAR] if compensated or (compensated is None and known) else known
 
     def projector_lag_rad(self) -> FloatArray | None:
         """Return by how much the projector's lateral colour delays R, G and B, (3,); None where none is known."""

@@ -101,10 +101,8 @@ class FirstLook:
     def lattice(self) -> Lattice:
         """Places all over the frame, one a node's column, and their light."""
         rows = max(1, self.gains.window.rows // 2)
-        nodes = (self.contrast, self.spacing_px, self.unlit, self.levels)
-        seen = average_light(
-            self.device_image, self.gains, self.crosstalk, *nodes, rows, self.gains.spacing_px, REACH_PX
-        )
+        nodes = (self.contrast, self.unlit, self.levels)
+        seen = average_light(self.device_image, self.gains, self.crosstalk, *nodes, rows, self.spacing_px, REACH_PX)
         light, contrast = (runtime.to_host(part) for part in seen)
         # The bare phase does not go evenly over a cycle.
         contrast = cv2.blur(contrast, (1, max(1, round(self.gains.period_px / rows))))

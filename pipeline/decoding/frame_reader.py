@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.calibration import Geometry
-from pipeline.decoding.light_path import LightPath
+from pipeline.decoding.light_model import LightModel
 from pipeline.errors import FootageError
 from pipeline.settings import DecodeSettings
 from tikernels import checks, runtime
@@ -46,7 +46,7 @@ class FrameReader:
     ----------
     settings : DecodeSettings
         Full scale and stripes.
-    path : LightPath
+    light : LightModel
         How the camera encodes light, and its lateral colour.
     geometry : Geometry, optional
         The calibrated rig's, for images of one size.
@@ -57,12 +57,12 @@ class FrameReader:
     def __init__(
         self,
         settings: DecodeSettings,
-        path: LightPath,
+        light: LightModel,
         geometry: Geometry | None,
         reference: npt.NDArray[np.float32] | None,
     ) -> None:
         self._settings = settings
-        self._path = path
+        self._light = light
         self._geometry = geometry
         self._reference_shape = None if reference is None else reference.shape
 
@@ -100,11 +100,11 @@ class FrameReader:
             repeated = find_repeated_chroma(levels, white)
             if repeated is not None:
                 image = runtime.to_device(undo_repeated_chroma(levels, white, repeated))
-        transfer = self._path.transfer
+        transfer = self._light.transfer
         if not isinstance(transfer, str) or transfer != "linear":
             image = linearize(image, transfer, white, white)
-        if self._path.camera_shift_px is not None:
-            image = align_channels(image, self._path.camera_shift_px)
+        if self._light.camera_shift_px is not None:
+            image = align_channels(image, self._light.camera_shift_px)
         image = transpose(image) if self._settings.stripes == "vertical" else image
         return LinearFrame(image, white, shared=image is given, repeated=repeated)
 

@@ -1,7 +1,8 @@
-"""Search a frame for its surfaces, turn by turn.
+"""Find the surfaces of a frame by their colours, and what the colour of each makes of the crosstalk.
 
 Each surface's matrix is predicted from its colour and fitted to its pixels, every pixel goes to the surface that
-explains it best, surfaces that none needs are dropped, and places that none explains become new ones.
+explains it best, surfaces that none needs are dropped, and places that none explains become new ones. In a video the
+search begins with the surfaces of the frame before, and what is fitted is the mean of both.
 """
 
 from dataclasses import dataclass, replace
@@ -24,8 +25,10 @@ from tikernels.phase.surface_matrix import (
     LightDoubt,
     PredictedMatrices,
     fit_matrices,
+    predict_matrices,
 )
 from tikernels.phase.surface_misfits import NeutralLight, average_light, surface_misfits
+from tikernels.phase.surface_samples import compare_samples
 from tikernels.phase.surfaces import NO_SURFACE, Surfaces
 
 _Labels = npt.NDArray[np.uint8]
@@ -38,10 +41,12 @@ _FIRST_SAMPLES, _SAMPLES, _MOST_SAMPLES, _FEW_SAMPLES, _LEAST_SAMPLES = 1000, 40
 _MARGIN_PX = 17
 # They are spread evenly: the golden section, whose multiples come nowhere near each other.
 _GOLDEN = 0.6180339887498949
-# How many turns at most; in all but the last the common light is fitted, too, and up to so many new surfaces are made.
-_TURNS, _NEW = 3, 5
+# A frame whose colours are this close to white, as logarithms of ratios, has nothing to undo.
+_NEUTRAL = 0.05
+# How often the common light is fitted, too, at most, and up to so many new surfaces are made.
+_TURNS, _NEW = 2, 5
 # Newton's steps in the first fit; others begin where the last one ended.
-_FIRST_STEPS = 3
+_STEPS = 3
 # The largest number of surfaces.
 _MOST = 16
 # Under a code surfaces whose colours differ by less (natural logarithm) are one paint: its contrasts look like another
@@ -66,13 +71,13 @@ _MOST_AMBIENT = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class KnownLight:
+class SurfacePrior:
     """What is known of the light before a frame's surfaces are looked for."""
 
     matrix: FloatArray
     """(3, 3) the crosstalk on white, its rows' sums one."""
-    white: FloatArray
-    """(3,) what the camera's channels see of white, up to a factor."""
+    white: FloatArray | None
+    """(3,) what the camera's channels see of white, up to a factor; None: the commonest colour of a frame."""
     light: _Complexes
     """(3, harmonics) of the projector's light over its mean, from the first on."""
     lag: FloatArray | None
@@ -108,16 +113,11 @@ class FoundSurfaces:
     """(3, terms) one cycle of a neutral surface's channels."""
     fitted: FittedMatrices
     """What they were found to be."""
+    bands: FloatArray
+    """(3, 3, 3) where their colours act; see `predict_matrices`."""
     mismatch: float
     """How far the channels' fundamentals are from what the crosstalk on white makes of the colour, as a fraction, on
     the surface that is most like white: saturated paints are further off."""
-    odd: "NoModelFits | None" = None
-    """Surfaces that their own matrices do not explain, as fluorescent ones."""
-
-    @property
-    def constant_sigma(self) -> float:
-        """Standard deviation of the constant of the least certain surface's phase, rad."""
-        return float(np.hypot(self.fitted.constant_sigma.max(), 0.0 if self.odd is None else self.odd.phase_rad))
 
 
 class OnlyColor(NamedTuple):
@@ -143,6 +143,62 @@ class NoModelFits(NamedTuple):
         return _PHASE_OF_LIGHT * self.misfit
 
 
+#: What is found of a frame's surfaces, None if the balance alone undoes what they do; and of those that do not fit.
+Found = tuple[FoundSurfaces | OnlyColor | None, NoModelFits | None]
+
+
+def find_surfaces(look: FirstLook, known: SurfacePrior, before: FoundSurfaces | OnlyColor | None = None) -> Found:
+    """Find the surfaces of a frame by their colours, and what the colour of each makes of the crosstalk.
+
+    Parameters
+    ----------
+    look : FirstLook
+        The frame.
+    known : SurfacePrior
+        What is known of the light.
+    before : FoundSurfaces or OnlyColor, optional
+        What the frame before in a video had: the search begins with its surfaces; a colour that is still the only one
+        is not looked at again.
+    """
+    if not look.lit.any():
+        return None, None
+    colors = look.common_colors()
+    white = np.exp(colors[0]) if known.white is None else known.white
+    if np.abs(colors - color_ratios(white)).max() < _NEUTRAL:
+        return None, None
+    if isinstance(before, OnlyColor) and len(colors) == 1 and np.abs(colors[0] - before.ratios).max() < _NEUTRAL:
+        return before, None
+    after = before if isinstance(before, FoundSurfaces) else None
+    if len(colors) == 1 and after is None and _acts_after(look, known, white):
+        return OnlyColor(colors[0]), None
+    found, odd = SurfaceSearch(look, known, white, colors, after).run()
+    if found is None and odd is None and len(colors) == 1:
+        return OnlyColor(colors[0]), None
+    # A crosstalk that the frame itself has told is contradicted by nothing.
+    return found, None if found is None and known.white is None else odd
+
+
+def _acts_after(look: FirstLook, known: SurfacePrior, white: FloatArray) -> bool:
+    """Whether the colour of a frame's only surface acts after the crosstalk rather than between."""
+    light = look.some_samples()
+    if len(light) == 0:
+        return False
+    color = light.mean(axis=0)
+    ambient = np.minimum(look.ambient * color / color.mean(), 0.5 * color)
+    weights = phase_weights(np.asarray(np.linalg.inv(known.matrix), np.float64), known.lag) / color
+    # The same places by two matrices.
+    seen, on_white = (color - ambient)[None], known.matrix * white[:, None]
+    matrices = np.concatenate([predict_matrices(seen, on_white, bands) for bands in (BROAD, known.bands)])
+    light, even, ambient, weights = (
+        np.stack([part, part]) for part in (light.T, np.ones(len(light)), ambient, weights)
+    )
+    samples = look.surface_samples(light, even, even, weights, ambient, np.ones(2), known.contrast_doubt)
+    found = compare_samples(samples, matrices, ambient, known.light, samples.phase)
+    after, otherwise = np.median(np.abs(found.residual) / np.sqrt(found.variance), axis=2)[:, 0]
+    # Where neither explains the light, within about a standard deviation, other surfaces are looked for.
+    return bool(after < min(otherwise, 1.0))
+
+
 class SurfaceSearch:
     """The surfaces of a frame as they are known so far.
 
@@ -150,74 +206,88 @@ class SurfaceSearch:
     ----------
     look : FirstLook
         The frame.
-    known : KnownLight
+    known : SurfacePrior
         What is known of the light.
-    labels : (h, w) uint8
-        The surfaces to begin with, at the places of the frame's lattice.
+    white : (3,)
+        What the camera's channels see of white, up to a factor.
     colors : (n, 3)
-        What the camera sees of them, up to a factor.
+        Ratios that many of the frame's nodes have; see `color_ratios`.
+    before : FoundSurfaces, optional
+        Those of the frame before in a video, with which the search begins; None: with one of each colour.
     """
 
-    def __init__(self, look: FirstLook, known: KnownLight, labels: _Labels, colors: FloatArray) -> None:
+    def __init__(
+        self,
+        look: FirstLook,
+        known: SurfacePrior,
+        white: FloatArray,
+        colors: FloatArray,
+        before: FoundSurfaces | None = None,
+    ) -> None:
         self._look, self._known, self._lattice = look, known, look.lattice
-        self._labels, self._colors = labels, colors
+        self._white, self._before = white, before
         self._ambient: FloatArray | None = None  # (n, 3) levels
         self._fitted: FittedMatrices | None = None  # of the first of these surfaces
-        self._bands = [known.bands, BROAD]  # where colours act; those that are still possible
+        if before is None:
+            self._labels, self._colors = look.labels(colors), np.exp(colors)
+            self._bands = [known.bands, BROAD]  # where colours act; those that are still possible
+        else:
+            self._labels, self._colors = look.labels(colors[:1]), before.fitted.matrices.sum(axis=2)
+            self._bands = [before.bands]
         # Which surfaces the frame began with.
-        self._first = np.ones(len(colors), bool)
+        self._first = np.ones(len(self._colors), bool)
         # Places where no new surface is looked for: those at an edge see two of them, and no matrix explains that; and
         # those where a new surface has been dropped. A first surface that is dropped may be a mixture of others, so its
         # place stays open.
         self._tried = self._near_edges(_EDGE_PX)
 
-    def run(self) -> FoundSurfaces | NoModelFits | None:
+    def run(self) -> tuple[FoundSurfaces | None, NoModelFits | None]:
         """Look for the surfaces; None: there is but one, which acts as the balance alone undoes."""
-        for _ in range(_TURNS - 1):
-            fitted = self._fit()
+        before = self._before
+        for _ in range(_TURNS if before is None else 1):
+            fitted = self._fit() if before is None else before.fitted
             if fitted is None:
-                return None
-            new = self._relabel(fitted, self._neutral(fitted))
+                return None, None
+            new = self._relabel(fitted, self._neutral(fitted), afresh=before is not None)
             self._keep(new, fitted)
-            if not self._add(new.unexplained & ~self._tried):
+            if before is not None:
+                self._tried |= self._near_edges(_EDGE_PX)
+            added = self._add(new.unexplained & ~self._tried)
+            if not added:
                 break
-        return self._last_turn(self._fit(ends=True))
-
-    def follow(self, before: FoundSurfaces) -> FoundSurfaces | NoModelFits | None:
-        """Look for the surfaces of a frame that begins with those of the one before: one turn, and the mean of both."""
-        new = self._relabel(before.fitted, self._neutral(before.fitted), afresh=True)
-        kept = self._keep(new, before.fitted)
-        self._tried |= self._near_edges(_EDGE_PX)
-        self._add(new.unexplained & ~self._tried)
         fitted = self._fit(ends=True)
-        return self._last_turn(None if fitted is None else fitted.after(self._fitted or kept))
-
-    def _last_turn(self, fitted: FittedMatrices | None) -> FoundSurfaces | NoModelFits | None:
         if fitted is None:
-            return None
+            return None, None
+        if before is not None and self._fitted is not None:
+            fitted = fitted.after(self._fitted)
         neutral = self._neutral(fitted)
-        new = self._relabel(fitted, neutral)
-        return self._found(new, self._keep(new, fitted), neutral.only(new.kept))
+        if added or len(fitted.matrices) != len(new.kept):
+            new = self._relabel(fitted, neutral)
+            fitted, neutral = self._keep(new, fitted), neutral.only(new.kept)
+        return self._found(new, fitted, neutral)
 
-    def _found(self, new: Relabelled, fitted: FittedMatrices, neutral: NeutralLight) -> FoundSurfaces | NoModelFits:
+    def _found(
+        self, new: Relabelled, fitted: FittedMatrices, neutral: NeutralLight
+    ) -> tuple[FoundSurfaces | None, NoModelFits | None]:
         """Return the surfaces, unless the largest is far from fitting, as with a calibration that is not this rig's."""
         sizes = np.bincount(self._labels.ravel(), minlength=NO_SURFACE)[: len(fitted.matrices)]
         shares, largest = sizes / max(sizes.sum(), 1), sizes.argmax()
-        ratios = color_ratios(self._colors) - color_ratios(self._known.white)
+        ratios = color_ratios(self._colors) - color_ratios(self._white)
         if fitted.misfit[largest] > _CONTRADICTED:
             color = color_word(ratios[largest])
-            return NoModelFits(float(fitted.misfit[largest]), float(shares[largest]), color)
+            return None, NoModelFits(float(fitted.misfit[largest]), float(shares[largest]), color)
         strange = (fitted.misfit > _ODD) & (sizes > 0)
         color = color_word(ratios[np.where(strange, sizes, 0).argmax()])
         odd = NoModelFits(float(fitted.misfit[strange].max(initial=0)), float(shares[strange].sum()), color)
         whitest = np.abs(ratios).max(axis=1).argmin()
-        return FoundSurfaces(
+        found = FoundSurfaces(
             self._known.crosstalk(fitted.matrices, self._of_pixels(new, neutral), fitted.ambient),
             self._known.template(fitted.light),
             fitted,
+            self._bands[0],
             float(fitted.mismatch[whitest]),
-            odd if odd.share > _ODD_SHARE else None,
         )
+        return found, odd if odd.share > _ODD_SHARE else None
 
     def _of_pixels(self, new: Relabelled, neutral: NeutralLight) -> _Labels:
         """Return which surface each pixel shows, (H, W): that of the places around, or where these differ its own."""
@@ -227,10 +297,10 @@ class SurfaceSearch:
         near = cv2.dilate(shown, lattice.square(2 * columns))
         nearest = np.maximum(np.where(shown == 0, near, shown), 1) - 1
         labels = nearest.repeat(rows, axis=0)[:height].repeat(columns, axis=1)[:, :width]
-        labels = np.where(look.unlit, NO_SURFACE, labels).astype(np.uint8)
+        labels = labels | -look.unlit.view(np.uint8)  # all bits set, NO_SURFACE: np.where takes 50 times as long
         if len(new.kept) > 1:
             cells = cells_of_pixels(lattice, new.labels, (height, width))
-            nodes = (look.contrast, look.spacing_px, look.unlit, look.levels)
+            nodes = (look.contrast, look.unlit, look.levels)
             seen = average_light(look.device_image, look.gains, look.crosstalk, *nodes, 1, 1, 0, cells)
             doubt = self._known.contrast_doubt
             choose_surfaces(*seen, cells, neutral, look.levels, doubt, lattice, new.around, labels)
@@ -251,7 +321,7 @@ class SurfaceSearch:
         places = np.stack([own[(spread * len(own)).astype(np.intp)] for own in chosen.values()])
         light = self._lattice.light.reshape(-1, 3)[places].swapaxes(1, 2)
         level = light.mean(axis=2, dtype=np.float64)
-        colors, white = self._colors, known.matrix * known.white[:, None]
+        colors, white = self._colors, known.matrix * self._white[:, None]
         expected = np.minimum(look.ambient * 3 * colors / colors.sum(axis=1, keepdims=True), _MOST_AMBIENT * level)
         if self._ambient is None:
             self._ambient = expected
@@ -267,7 +337,7 @@ class SurfaceSearch:
         if ends:
             samples = replace(samples, variance=samples.variance + (_MODEL_ERROR * light) ** 2)
         given = (expected, self._ambient, known.light, known.doubt)
-        steps = _FIRST_STEPS if before is None else 1
+        steps = _STEPS if before is None else 1
         results = [fit_matrices(samples, by, *given, before, fit_light=not ends, steps=steps) for by in predictions]
         best = int(np.argmin([result.cost for result in results]))
         if len(level) == 1 and self._bands[best] is BROAD:

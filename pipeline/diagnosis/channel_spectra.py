@@ -81,16 +81,10 @@ class KnownLight:
     @classmethod
     def of(cls, settings: DecodeSettings, calibration: Calibration, code: CodeName | None) -> "KnownLight":
         """Return what settings and calibration state, which the settings overrule, and the code of the decoder."""
-        pattern = calibration.pattern
-        compensated = None if pattern is None else pattern.compensated
-        responses = [LINEAR]
-        if calibration.response is not None and compensated is not True:
-            # Where nobody has said whether it is undone in the pattern, either may be.
-            responses = [calibration.response, *([LINEAR] if compensated is None else [])]
         given = settings.crosstalk_matrix
         return cls(
             calibration.crosstalk_matrix if given is None else given,
-            tuple(responses),
+            tuple(calibration.responses() or [LINEAR]),
             calibration.projector_lag_rad(),
             code,
         )

@@ -299,11 +299,10 @@ def choose_surfaces(
     out : (H, W) uint8
         The labels; NO_SURFACE stays.
     """
-    size = (len(neutral.unmixing), *(int(n) for n in contrast.shape))
-    misfits, by_contrast = (runtime.empty(size, np.float32) for _ in range(2))
+    misfits = runtime.empty((len(neutral.unmixing), *(int(n) for n in contrast.shape)), np.float32)
     # A pixel does not tell what its cycle's contrast is.
     even = float(np.hypot(code_doubt, UNEVEN))
-    fill_misfits(light, contrast, cells, neutral, levels, 1, even, misfits, by_contrast)
+    fill_misfits(light, contrast, cells, neutral, levels, 1, even, misfits)
     near, along = (
         np.exp(-0.5 * (np.arange(reach + 1) / sigma) ** 2).astype(np.float32)
         for reach, sigma in ((3, _NEAR_PX), (_BESIDE, _ALONG_PX))

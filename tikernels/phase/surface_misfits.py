@@ -20,7 +20,7 @@ from tikernels import checks, runtime
 from tikernels._taichi import AnyArray3, F32Array2, F32Array3, I32Array2, U8Array2, f32, i32, ti, vec3
 from tikernels.arrays import F32, I32, LevelsImage
 from tikernels.launching import kernel
-from tikernels.phase.color_balance import Gains, channels_at, gain_at
+from tikernels.phase.color_balance import Gains, channels_at
 from tikernels.phase.crosstalk import Crosstalk, weighed_vector
 from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.phase_vector import color_at, matrix_of, modulation_of, phase_weights, with_sign_of
@@ -139,11 +139,10 @@ class NeutralLight(NamedTuple):
 @kernel
 def average_light_kernel(
     image: AnyArray3,  # (H, W, 3) levels
-    gains: F32Array3,  # (Hg, Wg, 3) that balance a neutral surface
-    spacing_px: i32,  # between these nodes
+    gains: F32Array3,  # (Hg, Wg, 3) that balance a neutral surface, at nodes
+    blur: F32Array2,  # (Hg, Wg) what blur leaves of the contrast around every node
+    spacing_px: i32,  # between the nodes
     phase_weights: F32Array2,  # (3, 3)
-    blur: F32Array2,  # (Hn, Wn) what blur leaves of the contrast around every node
-    node_px: i32,  # between those
     unlit: U8Array2,  # (H, W) 1: shows no fringe
     clipped: f32,  # levels
     rows: i32,  # px between places
@@ -161,7 +160,8 @@ def average_light_kernel(
             weights, y = matrix_of(phase_weights), i * rows
             for j in range(first, ti.min(first + AT_ONCE, width)):
                 middle = ti.min(j * columns + columns // 2, image.shape[1] - 1)
-                gain = gain_at(gains, spacing_px, y, middle)
+                a, b = ti.min(y // spacing_px, blur.shape[0] - 1), ti.min(middle // spacing_px, blur.shape[1] - 1)
+                gain = channels_at(gains, a, b, 0)
                 total, last, most, cosine, sine = vec3(0.0), vec3(0.0), 0.0, 0.0, 0.0
                 for k in range(-reach, reach + 1):
                     x = ti.min(ti.max(middle + k, 0), image.shape[1] - 1)
@@ -173,7 +173,6 @@ def average_light_kernel(
                 # A phase that is linear over n pixels has the variance slope^2 (n^2 - 1) / 12.
                 slope = ti.select(cosine > 0.0, sine / ti.max(cosine, 1e-9), 1.0)
                 lost = 1.0 + reach * (reach + 1) / 6.0 * ti.min(slope * slope, 1.0)
-                a, b = ti.min(y // node_px, blur.shape[0] - 1), ti.min(middle // node_px, blur.shape[1] - 1)
                 out_contrast[i, j] = blur[a, b] / lost
                 says = (most < clipped) & (ti.cast(unlit[ti.min(y, image.shape[0] - 1), middle], i32) == 0)
                 for c in ti.static(range(3)):
@@ -185,7 +184,6 @@ def average_light(
     gains: Gains,
     crosstalk: Crosstalk,
     blur: npt.NDArray[np.float32],
-    node_px: int,
     unlit: _Mask,
     levels: FrameLevels,
     rows: int,
@@ -203,10 +201,8 @@ def average_light(
         That balance it.
     crosstalk : Crosstalk
         What they were measured with.
-    blur : (Hn, Wn) float32
-        What the camera's blur leaves of the contrast around every node, beside the usual.
-    node_px : int
-        px between these nodes.
+    blur : (Hg, Wg) float32
+        What the camera's blur leaves of the contrast around every node of the gains, beside the usual.
     unlit : (H, W) bool
         Which pixels show no fringe: they say nothing.
     levels : FrameLevels
@@ -222,7 +218,7 @@ def average_light(
     size = (-(-gains.height // rows), -(-gains.width // columns))
     cells = np.ones(cells_of(size), np.int32) if cells is None else cells
     out, contrast = runtime.empty((*size, 3), np.float32), runtime.empty(size, np.float32)
-    nodes = (gains.gains, gains.spacing_px, crosstalk.weights, blur, node_px)
+    nodes = (gains.gains, blur, gains.spacing_px, crosstalk.weights)
     average_light_kernel(
         image, *nodes, unlit.view(np.uint8), levels.clipped, rows, columns, reach_px, cells, out, contrast
     )
@@ -253,7 +249,7 @@ def surface_misfits_kernel(
     noise_gain: f32,  # levels, of a mean
     even: f32,  # standard deviation of a place's contrast, as a fraction, where blur is the usual
     out: F32Array3,  # (N, h, w) standard deviations; SAYS_NOTHING; undefined where a surface is not asked
-    by_contrast: F32Array3,  # likewise: how that changes with the contrast, per 1
+    by_contrast: F32Array3,  # likewise: how that changes with the contrast, per 1; else (1, 1, 1)
 ):
     height, width = out.shape[1], out.shape[2]
     strips = strip_count(width, AT_ONCE)
@@ -262,6 +258,8 @@ def surface_misfits_kernel(
         bits, first = cells[y // CELL_ROWS, strip], strip * AT_ONCE
         if bits != 0:
             count = ti.min(AT_ONCE, width - first)
+            numbers = by_contrast.shape[0] * by_contrast.shape[1] * by_contrast.shape[2]
+            asked = ti.select(numbers == out.shape[0] * height * width, count, 0)
             channels, vectors, sharp = lanes_of_colors(0.0), lanes_of_colors(0.0), place_lanes(1.0)
             place, ring, turn = place_lanes(0.0), place_lanes(0.0), place_lanes(0.0)
             result, changes = place_lanes(0.0), place_lanes(0.0)
@@ -292,6 +290,7 @@ def surface_misfits_kernel(
                         changes[k] = swing * by_sigma
                     for k in range(count):
                         out[surface, y, first + k] = result[k]
+                    for k in range(asked):
                         by_contrast[surface, y, first + k] = changes[k]
 
 
@@ -315,12 +314,13 @@ def surface_misfits(lattice: Lattice, neutral: NeutralLight, levels: FrameLevels
         Squares of standard deviations, at most 16; -1 where a place says nothing.
     """
     size, count = lattice.contrast.shape, len(neutral.unmixing)
-    out, by_contrast = (np.empty((count, *size), np.float32) for _ in range(2))
+    out = np.empty((count, *size), np.float32)
+    by_contrast = np.empty_like(out) if code_doubt > 0 else None
     cells = np.full(cells_of(size), (1 << count) - 1, np.int32)
     even = _CORNERS if code_doubt > 0 else UNEVEN
     fill_misfits(lattice.light, lattice.contrast, cells, neutral, levels, 2 * REACH_PX + 1, even, out, by_contrast)
     said = lattice.says
-    if code_doubt > 0:
+    if by_contrast is not None:
         _take_off_code(lattice, out, by_contrast, said, code_doubt)
     return np.where(said, np.minimum(out**2, MOST_MISFIT), np.float32(-1))
 
@@ -333,11 +333,13 @@ def fill_misfits(
     levels: FrameLevels,
     pixels: int,
     even: float,
-    *out: F32,
+    out: F32,
+    by_contrast: F32 | None = None,
 ) -> None:
     """Do what `surface_misfits_kernel` does with means over some pixels."""
     noise = (levels.read_noise**2 / pixels, levels.noise_gain / pixels)
-    surface_misfits_kernel(light, contrast, cells, *neutral, *noise, even, *out)
+    changes = runtime.empty((1, 1, 1), np.float32) if by_contrast is None else by_contrast
+    surface_misfits_kernel(light, contrast, cells, *neutral, *noise, even, out, changes)
     runtime.synchronize()
 
 

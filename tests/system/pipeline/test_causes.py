@@ -14,7 +14,7 @@ from support.posed_boards import CAMERA_PX, PATTERN, PROJECTOR_PX, exact_poses, 
 from pipeline import Decoder, DecodeSettings
 from pipeline.calibration.rig_geometry import solve_geometry
 from pipeline.causes import Cause, Key
-from pipeline.decoding.light_path import LightPath
+from pipeline.decoding.light_model import LightModel
 from pipeline.diagnosis.rig_check import check_surface
 from pipeline.models import CameraState, SensorPart
 from pipeline.orders.order_finder import OrderFinder
@@ -99,7 +99,7 @@ def lens(*distortion):
 def camera(before, **now):
     path = known(capture=CameraState(**before))
     chosen = {"transfer": now.pop("transfer", None), "capture": CameraState(**now)}
-    return said(lambda: LightPath(DecodeSettings(**chosen), path))
+    return said(lambda: LightModel(DecodeSettings(**chosen), path))
 
 
 def solved(poses):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline.decoding.frame_reader import FrameReader, size_text
-from pipeline.decoding.light_path import LightPath
+from pipeline.decoding.light_model import LightModel
 from pipeline.errors import CalibrationError, FootageError
 from pipeline.settings import DecodeSettings
 from pipeline.simulation import simulated_rig
@@ -15,7 +15,7 @@ LEVELS = np.random.default_rng(0).integers(0, 256, (20, 30, 3), dtype=np.uint8)
 
 def reader(geometry=None, reference=None, **options):
     settings = DecodeSettings(**options)
-    return FrameReader(settings, LightPath(settings, None), geometry, reference)
+    return FrameReader(settings, LightModel(settings, None), geometry, reference)
 
 
 def test_linear_levels_stay_as_they_are(cpu):

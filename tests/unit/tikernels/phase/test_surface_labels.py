@@ -29,8 +29,7 @@ def seen_of(image: np.ndarray, contrast: float = 1.0, cells: np.ndarray | None =
     gains, crosstalk = Gains(*image.shape[:2], PERIOD_PX), Crosstalk.of(MATRIX)
     gains.measure(image, crosstalk, LEVELS)
     nodes = (
-        np.full((gains.height // 8, gains.width // 8), contrast, np.float32),
-        8,
+        np.full(gains.gains.shape[:2], contrast, np.float32),
         np.zeros(image.shape[:2], bool),
         LEVELS,
     )
@@ -159,7 +158,7 @@ def test_a_surface_stays_that_explains_its_places_better_than_any_other(cpu):
 
 def test_what_is_refused(cpu):
     image, _, _ = board(PAINTED, (40, 40))
-    nodes = (np.ones((5, 5), np.float32), 8, np.zeros((40, 40), bool), LEVELS)
+    nodes = (np.ones((5, 5), np.float32), np.zeros((40, 40), bool), LEVELS)
     with pytest.raises(tikernels.ShapeError, match="image has shape"):
         average_light(image[0], Gains(40, 40, PERIOD_PX), Crosstalk.of(MATRIX), *nodes, 2, 8, 2)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline.contrast_code import ContrastCode
-from pipeline.decoding.light_path import LightPath
+from pipeline.decoding.light_model import LightModel
 from pipeline.decoding.self_calibration import LightEstimate
 from pipeline.errors import DecodeWarning, SettingsError
 from pipeline.models import CameraState
@@ -33,14 +33,14 @@ def rig(**values):
 
 
 def test_settings_win_over_the_calibration():
-    path = LightPath(DecodeSettings(crosstalk_matrix=np.eye(3)), rig(crosstalk_matrix=MATRIX))
+    path = LightModel(DecodeSettings(crosstalk_matrix=np.eye(3)), rig(crosstalk_matrix=MATRIX))
     np.testing.assert_allclose(path.crosstalk.matrix, np.eye(3), atol=1e-6)
-    path = LightPath(DecodeSettings(), rig(crosstalk_matrix=MATRIX))
+    path = LightModel(DecodeSettings(), rig(crosstalk_matrix=MATRIX))
     np.testing.assert_allclose(path.crosstalk.matrix, NORMAL, atol=1e-6)
 
 
 def test_nothing_known_asks_one_frame():
-    path = LightPath(DecodeSettings(), None)
+    path = LightModel(DecodeSettings(), None)
     assert path.unknown
     assert not path.constant_known
     path.learn(TOLD)
@@ -53,7 +53,7 @@ def test_nothing_known_asks_one_frame():
 
 @pytest.mark.parametrize("light", [None, TOLD.model_copy(update={"reliable": False})])
 def test_what_a_frame_could_not_tell_is_not_asked_again(light):
-    path = LightPath(DecodeSettings(), None)
+    path = LightModel(DecodeSettings(), None)
     path.learn(light)
     assert not path.unknown
     assert not path.constant_known
@@ -62,13 +62,13 @@ def test_what_a_frame_could_not_tell_is_not_asked_again(light):
 
 def test_narrow_bands_ask_no_frame():
     """How bright the camera's channels are to each other matters there, which no frame tells."""
-    assert not LightPath(DecodeSettings(reflectance_bands="narrow"), None).unknown
+    assert not LightModel(DecodeSettings(reflectance_bands="narrow"), None).unknown
 
 
 def test_uniform_phases_need_no_correction():
-    path = LightPath(DecodeSettings(crosstalk_matrix=np.eye(3)), None)
+    path = LightModel(DecodeSettings(crosstalk_matrix=np.eye(3)), None)
     assert np.abs(path.cycle(UNIFORM, 12.0)[0]).max() < 1e-3
-    off = LightPath(DecodeSettings(crosstalk_matrix=np.eye(3), equalize=False), None)
+    off = LightModel(DecodeSettings(crosstalk_matrix=np.eye(3), equalize=False), None)
     assert not off.cycle(UNIFORM + np.arange(256), 12.0)[0].any()
 
 
@@ -83,7 +83,7 @@ def test_uniform_phases_need_no_correction():
     ],
 )
 def test_the_code_is_the_settings_or_the_patterns(setting, pattern, code, unknown):
-    path = LightPath(DecodeSettings(code=setting), simulated_rig((64, 48), code=pattern))
+    path = LightModel(DecodeSettings(code=setting), simulated_rig((64, 48), code=pattern))
     assert (path.code and path.code.name, path.code_unknown) == (code, unknown)
 
 
@@ -92,16 +92,16 @@ def test_the_code_is_the_settings_or_the_patterns(setting, pattern, code, unknow
 )
 def test_what_a_frame_shows_of_a_code_is_as_if_it_were_stated(known):
     """Whether the light is learnt before or after."""
-    plain, coded = (LightPath(DecodeSettings(code=code), rig(**known)) for code in ("none", "contrast"))
+    plain, coded = (LightModel(DecodeSettings(code=code), rig(**known)) for code in ("none", "contrast"))
     assert plain.contrast_doubt < coded.contrast_doubt
     for code, stated in ((None, plain), (ContrastCode.named("contrast"), coded)):
-        seen = LightPath(DecodeSettings(), rig(**known))
+        seen = LightModel(DecodeSettings(), rig(**known))
         seen.use_code(code)
         assert seen.code == stated.code and not seen.code_unknown
         assert seen.contrast_doubt == stated.contrast_doubt
         for got, expected in zip(seen.cycle(UNIFORM, 12.0), stated.cycle(UNIFORM, 12.0), strict=True):
             np.testing.assert_array_equal(got, expected)
-    late = LightPath(DecodeSettings(), None)
+    late = LightModel(DecodeSettings(), None)
     late.learn(TOLD)
     late.use_code(None)
     np.testing.assert_allclose(late.crosstalk.matrix, NORMAL, atol=1e-6)
@@ -111,6 +111,6 @@ def test_what_a_frame_shows_of_a_code_is_as_if_it_were_stated(known):
 def test_a_camera_that_stands_otherwise():
     before = rig(capture=CameraState(gain=2.0))
     with pytest.warns(DecodeWarning, match=r"gain is 3\.0 but was 2\.0 at calibration"):
-        LightPath(DecodeSettings(capture=CameraState(gain=3.0)), before)
+        LightModel(DecodeSettings(capture=CameraState(gain=3.0)), before)
     with pytest.raises(SettingsError, match="set stripes to 'horizontal'"):
-        LightPath(DecodeSettings(stripes="vertical"), before)
+        LightModel(DecodeSettings(stripes="vertical"), before)
