@@ -20,7 +20,7 @@ from tikernels import checks, runtime
 from tikernels._taichi import AnyArray3, F32Array2, F32Array3, I32Array2, U8Array2, f32, i32, ti, vec3
 from tikernels.arrays import F32, I32, LevelsImage
 from tikernels.launching import kernel
-from tikernels.phase.color_balance import Gains, channels_at
+from tikernels.phase.color_balance import Gains, channels_at, gain_at
 from tikernels.phase.crosstalk import Crosstalk, weighed_vector
 from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.phase_vector import color_at, matrix_of, modulation_of, phase_weights, with_sign_of
@@ -160,8 +160,7 @@ def average_light_kernel(
             weights, y = matrix_of(phase_weights), i * rows
             for j in range(first, ti.min(first + AT_ONCE, width)):
                 middle = ti.min(j * columns + columns // 2, image.shape[1] - 1)
-                a, b = ti.min(y // spacing_px, blur.shape[0] - 1), ti.min(middle // spacing_px, blur.shape[1] - 1)
-                gain = channels_at(gains, a, b, 0)
+                gain = gain_at(gains, spacing_px, y, middle)
                 total, last, most, cosine, sine = vec3(0.0), vec3(0.0), 0.0, 0.0, 0.0
                 for k in range(-reach, reach + 1):
                     x = ti.min(ti.max(middle + k, 0), image.shape[1] - 1)
@@ -173,6 +172,7 @@ def average_light_kernel(
                 # A phase that is linear over n pixels has the variance slope^2 (n^2 - 1) / 12.
                 slope = ti.select(cosine > 0.0, sine / ti.max(cosine, 1e-9), 1.0)
                 lost = 1.0 + reach * (reach + 1) / 6.0 * ti.min(slope * slope, 1.0)
+                a, b = ti.min(y // spacing_px, blur.shape[0] - 1), ti.min(middle // spacing_px, blur.shape[1] - 1)
                 out_contrast[i, j] = blur[a, b] / lost
                 says = (most < clipped) & (ti.cast(unlit[ti.min(y, image.shape[0] - 1), middle], i32) == 0)
                 for c in ti.static(range(3)):
