@@ -19,11 +19,11 @@ from pipeline.diagnosis.channel_spectra import (
     CHANNELS,
     LEAST_RAD,
     MIN_TILES,
-    ExpectedLight,
     KnownLight,
     RippleFinding,
     Tiles,
     clipping_ripple,
+    expected_light,
     fit_tiles,
     mean_spectrum,
     ripple_by_harmonic,
@@ -177,7 +177,7 @@ def diagnose(
     sure = np.zeros_like(mask) if absolute is None or known.code is None else mask & absolute
     coded = int(np.count_nonzero(sure)) >= _MIN_PIXELS
     phase, usable, period = smooth_phase(unwrapped_phase, sure if coded else mask)
-    light, expected = linear_values(signal, transfer), ExpectedLight(known, coded=coded)
+    light, expected = linear_values(signal, transfer), expected_light(known, coded=coded)
     seen = fit_tiles(light, phase, usable, period, None, expected)
     if len(seen.mean) < MIN_TILES:
         return nothing
@@ -208,7 +208,7 @@ def diagnose(
     findings += found + explain_fundamental(tiles, fundamentals, matrix, limit)
     findings.sort(key=lambda finding: -max(finding.ripple_rad.values()))
     everything = ripple_by_harmonic(waves_of_spectrum(mean_spectrum(seen)), matrix)
-    return Diagnosis(tuple(findings), everything, seen_rad, limit, (_color_note(tiles),))
+    return Diagnosis(tuple(findings), everything, seen_rad, limit)
 
 
 def _pixel_noise(tiles: Tiles) -> float:
@@ -222,15 +222,6 @@ def _clipping_finding(shares: FloatArray, ripple_rad: dict[int, float]) -> Rippl
     share = ", ".join(f"{c} {100 * s:.1f} %" for c, s in zip(CHANNELS, shares, strict=True))
     advice = "expose less, or dim the projector"
     return RippleFinding(("clipping",), f"clipped pixels: {share}", ripple_rad, 0.99, advice)
-
-
-def _color_note(tiles: Tiles) -> str:
-    """Return the channels' relative brightness, which makes no ripple."""
-    color = np.median(tiles.mean, axis=0)
-    means = " : ".join(f"{v / color[1]:.2f}" for v in color)
-    return (
-        f"channels' means R : G : B = {means}: surface colour, light or white balance; harmless, the balance undoes it"
-    )
 
 
 def other_transfer(transfer: Transfer) -> str:

@@ -5,7 +5,9 @@ ambient light and crosstalk, the transfer after them. So each is undone in turn:
 is known of the light. A Gaussian blur of lens, pixels and focus takes exp(-s (k**2 - 1)) off the known k-th harmonic
 over the fundamental.
 
-Contrasts and phases of the fundamentals differ by crosstalk, lenses, a black level, or motion.
+Contrasts and phases of the fundamentals differ by crosstalk, lenses, a black level, or motion. Each is a row of one
+table: a linear change of the logarithms of the fundamentals, tile by tile. All rows are fitted to the same evidence and
+compared by the squares that they leave, with a penalty for the numbers that they take.
 """
 
 from collections.abc import Callable, Sequence
@@ -74,8 +76,8 @@ def left_by_mixing(
     """Return what of the channels' harmonics no mixing, lag and blur make of the projector's light, (3, K - 1).
 
     A crosstalk, or a lateral colour, that is not known mixes the known harmonics otherwise, or shifts them: that is no
-    fault of their own. The leaks into each channel and its lag are fitted to all of its spectrum (3, K)
-    by each of the lights (R, 3, K); second, the number of the light that leaves the least.
+    fault of their own. The leaks into each channel and its lag are fitted to all of its spectrum (3, K) by each of the
+    lights (R, 3, K); second, the number of the light that leaves the least.
     """
     turns = np.arange(1, spectrum.shape[1] + 1)
     lags = np.linspace(-_MOST_LAG_RAD, _MOST_LAG_RAD, _LAGS)[:, None, None]

@@ -6,9 +6,9 @@ import pytest
 from pipeline.diagnosis.channel_spectra import (
     LINEAR,
     PHASES,
-    ExpectedLight,
     KnownLight,
     Tiles,
+    expected_light,
     fit_tiles,
     mean_spectrum,
 )
@@ -43,7 +43,7 @@ def frame(gamma=1.0, matrix=None):
 
 
 def tiles_of(light, phase, known=LINEAR):
-    expected = ExpectedLight(KnownLight(responses=(known,)), coded=False)
+    expected = expected_light(KnownLight(responses=(known,)), coded=False)
     return fit_tiles(light, phase, np.ones(phase.shape, bool), PERIOD_PX, None, expected)
 
 
