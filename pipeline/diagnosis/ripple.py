@@ -31,7 +31,7 @@ from pipeline.diagnosis.channel_spectra import (
     smooth_phase,
     waves_of_spectrum,
 )
-from pipeline.diagnosis.ripple_causes import UNKNOWN, explain_fundamental, explain_harmonics
+from pipeline.diagnosis.ripple_causes import explain_fundamental, explain_harmonics
 from pipeline.models import FloatArray, ImageArray
 from tikernels.raw.linearization import Transfer, linear_values
 
@@ -203,9 +203,9 @@ def diagnose(
         tiles, matrix, limit, period, other,
         lambda: fit_tiles(linear_values(signal, other), phase, usable, period, keep, expected),
     )  # fmt: skip
-    if bands is not None:  # levels that are cut short make harmonics that nothing else explains
-        found = [finding for finding in found if finding.causes != UNKNOWN]
-    findings += found + explain_fundamental(tiles, fundamentals, matrix, limit)
+    if bands is None:  # else levels that are cut short make harmonics of their own
+        findings += found
+    findings += explain_fundamental(tiles, fundamentals, matrix, limit)
     findings.sort(key=lambda finding: -max(finding.ripple_rad.values()))
     everything = ripple_by_harmonic(waves_of_spectrum(mean_spectrum(seen)), matrix)
     return Diagnosis(tuple(findings), everything, seen_rad, limit)

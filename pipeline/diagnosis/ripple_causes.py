@@ -236,6 +236,9 @@ def explanations(tiles: Tiles, lag: FloatArray) -> list[Explanation]:
     def ends_px(n: FloatArray) -> str:
         return to.format(*(-n.reshape(2, 2).T @ ends).ravel())
 
+    def across_px(n: FloatArray) -> str:
+        return speed.format(abs(n[0]) * np.median(f))
+
     table = [Explanation((), 0, lambda n: np.zeros(3), lambda n: "", "")]
     for own, name in zip(np.eye(3), CHANNELS, strict=True):
         table += _one_contrast(tiles, own, name)
@@ -249,9 +252,8 @@ def explanations(tiles: Tiles, lag: FloatArray) -> list[Explanation]:
         Explanation(beam, 2, lambda n: 1j * two(n), lambda n: rad.format(*n), _AT_REST),
         # One speed: from red to green as from green to blue.
         Explanation(motion, 1, lambda n: 1j * n * _FIELDS, lambda n: speed.format(abs(n[0])), _AT_REST, 1),
-        Explanation(
-            motion, 1, lambda n: 1j * n * f * _FIELDS, lambda n: speed.format(abs(n[0]) * np.median(f)), _AT_REST, 1
-        ),
+        Explanation(motion, 1, lambda n: 1j * n * f * _FIELDS, across_px, _AT_REST, 1),
+        Explanation(motion, 2, lambda n: 1j * f * (n[0] + across * n[1]) * _FIELDS, across_px, _AT_REST, 2),
         Explanation(
             motion,
             2,
@@ -331,7 +333,9 @@ def explain_fundamental(
         strong = np.argsort(np.linalg.norm(explained, axis=1))[int(0.95 * count)]
         wave = scale * ideal(matrix) * np.exp(change[strong])
         ripple_rad = ripple_by_harmonic(waves_of_spectrum(wave[:, None]), matrix)
-        if not all(table[k].causes for k in possible) or max(ripple_rad.values()) < limit:
+        # What was chosen for being large has twice the noise.
+        least = 2 * limit if table[best].chosen else limit
+        if not all(table[k].causes for k in possible) or max(ripple_rad.values()) < least:
             return findings
         size = " or ".join(
             leaks or "" if "crosstalk" in table[k].causes else table[k].words(numbers[k]) for k in possible
