@@ -51,8 +51,6 @@ _LEAST_LEAK = 0.05
 _MOST_LAG_RAD, _LAGS = 0.6, 241
 # What is left of a cause (curvature, second order) is up to this share of it, and no second fault.
 _LEAKAGE = 0.15
-# Times of the colour fields from the green one on.
-_FIELDS = np.array([-1.0, 0.0, 1.0])
 _BLACK = "subtract a frame of black from the same projector; if the ripple stays, refocus or calibrate the crosstalk"
 _COLORS = "subtract a frame of black from the same projector; then calibrate the crosstalk with each colour alone"
 _AT_REST = "photograph the scene at rest: if it stays, calibrate the lateral colour; if not, show all colours at once"
@@ -194,15 +192,11 @@ def ideal(matrix: FloatArray, contrast: Any = 1.0) -> npt.NDArray[np.complex128]
 
 
 class Explanation(NamedTuple):
-    """A row of the table of causes: something that changes the channels' fundamentals in a way of its own.
-
-    `change` is linear: it returns for `n` numbers what is added to the logarithms of the fundamentals, (3,) or (T, 3),
-    to that of the contrast and i times to the phase in rad.
-    """
+    """A row of the table of causes: something that changes the channels' fundamentals in a way of its own."""
 
     causes: tuple[str, ...]
-    n: int
-    change: Callable[[FloatArray], Any]
+    #: (n, T or 1, 3): what n numbers add to the logarithms of the fundamentals, of the contrast and i times the phase.
+    shapes: npt.NDArray[Any]
     words: Callable[[FloatArray], str]
     advice: str
     chosen: int = 0  # how many more numbers were chosen from the tiles themselves
@@ -211,66 +205,56 @@ class Explanation(NamedTuple):
 def explanations(tiles: Tiles, lag: FloatArray) -> list[Explanation]:
     """Return the table of causes for tiles whose red and blue lag behind green by (T, 2) rad; first: nothing."""
     f, across = tiles.frequency[:, None], tiles.across[:, None]
+    two, fields = np.eye(3)[::2, None], np.array([[[-1j, 0, 1j]]])
     strength = np.hypot(*neighbours_median(lag, tiles.place).T)
     moving = (strength > 0.5 * np.quantile(strength, 0.95))[:, None]
     ends = np.array([[1, 1], [across.min(), across.max()]])
-    lens, beam, motion = (
-        ("lateral colour of the camera",),
-        ("lateral colour of the projector",),
-        ("motion between colour fields",),
-    )
-    px, rad, to, speed = (
-        "R {:+.2f} px, B {:+.2f} px of G",
-        "R {:+.3f} rad, B {:+.3f} rad from G",
-        "R {:+.2f} to {:+.2f} px, B {:+.2f} to {:+.2f} px of G across the picture",
-        "{:.3f} rad a field",
-    )
-
-    def two(n: FloatArray) -> Any:
-        return np.array([n[0], 0, n[1]])
+    more = ("projector amplitude", "projector defocus", "camera defocus", "even crosstalk")
+    lens, motion = ("lateral colour of the camera",), ("motion between colour fields",)
+    to = "R {:+.2f} to {:+.2f} px, B {:+.2f} to {:+.2f} px of G across the picture"
 
     def lost(n: FloatArray) -> str:
-        parts = zip(CHANNELS, np.expm1(two(n) - max(0, *n)), strict=True)
+        parts = zip(CHANNELS, np.expm1(np.array([n[0], 0, n[1]]) - max(0, *n)), strict=True)
         return "contrasts against the best channel: " + ", ".join(f"{name} {100 * part:+.0f} %" for name, part in parts)
 
-    def ends_px(n: FloatArray) -> str:
-        return to.format(*(-n.reshape(2, 2).T @ ends).ravel())
+    def speed(n: FloatArray, times: Any = 1) -> str:
+        return f"{abs(n[0]) * np.median(times):.3f} rad a field"
 
-    def across_px(n: FloatArray) -> str:
-        return speed.format(abs(n[0]) * np.median(f))
-
-    table = [Explanation((), 0, lambda n: np.zeros(3), lambda n: "", "")]
+    table = [Explanation((), np.empty((0, 1, 3)), lambda n: "", "")]
     for own, name in zip(np.eye(3), CHANNELS, strict=True):
         table += _one_contrast(tiles, own, name)
-    more = ("projector amplitude", "projector defocus", "camera defocus", "even crosstalk")
     return [
         *table,
         _black_level(tiles, np.ones(3), "all channels"),
-        Explanation(more, 2, two, lost, _COLORS),
-        Explanation(lens, 2, lambda n: 1j * f * two(n), lambda n: px.format(*-n), _AT_REST),
-        Explanation(lens, 4, lambda n: 1j * f * (two(n) + across * two(n[2:])), ends_px, _AT_REST),
-        Explanation(beam, 2, lambda n: 1j * two(n), lambda n: rad.format(*n), _AT_REST),
-        # One speed: from red to green as from green to blue.
-        Explanation(motion, 1, lambda n: 1j * n * _FIELDS, lambda n: speed.format(abs(n[0])), _AT_REST, 1),
-        Explanation(motion, 1, lambda n: 1j * n * f * _FIELDS, across_px, _AT_REST, 1),
-        Explanation(motion, 2, lambda n: 1j * f * (n[0] + across * n[1]) * _FIELDS, across_px, _AT_REST, 2),
+        Explanation(more, two, lost, _COLORS),
+        Explanation(lens, 1j * f * two, lambda n: "R {:+.2f} px, B {:+.2f} px of G".format(*-n), _AT_REST),
         Explanation(
-            motion,
-            2,
-            lambda n: 1j * moving * two(n),
-            lambda n: speed.format(np.ptp([*n, 0]) / 2) + " in a part of the picture",
+            lens,
+            1j * f * np.concatenate([two + 0 * across, across * two]),
+            lambda n: to.format(*(-n.reshape(2, 2).T @ ends).ravel()),
             _AT_REST,
-            4,
         ),
-        Explanation(("crosstalk",), 4, lambda n: two(n) + 1j * two(n[2:]), lambda n: "", _MATRIX),
+        Explanation(
+            ("lateral colour of the projector",),
+            1j * two,
+            lambda n: "R {:+.3f} rad, B {:+.3f} rad from G".format(*n),
+            _AT_REST,
+        ),
+        # One speed: from red to green as from green to blue.
+        Explanation(motion, fields, speed, _AT_REST, 1),
+        Explanation(motion, f * fields, lambda n: speed(n, f), _AT_REST, 1),
+        Explanation(motion, np.stack([f, f * across]) * fields, lambda n: speed(n, f), _AT_REST, 2),
+        Explanation(motion, 1j * moving * two, lambda n: f"{speed(n)} in a part of the picture", _AT_REST, 4),
+        Explanation(("crosstalk",), np.concatenate([two, 1j * two]), lambda n: "", _MATRIX),
     ]
 
 
 def _black_level(tiles: Tiles, own: FloatArray, name: str) -> Explanation:
     """Return the row of light that is added to some channels (3,): it weighs most where it is dark."""
-    causes = ("black level", "coloured ambient light")
     size = "{:+.3f} of full scale added to " + name
-    return Explanation(causes, 1, lambda n: -n / tiles.mean * own, lambda n: size.format(*n), _BLACK)
+    return Explanation(
+        ("black level", "coloured ambient light"), -own / tiles.mean[None], lambda n: size.format(*n), _BLACK
+    )
 
 
 def _one_contrast(tiles: Tiles, own: FloatArray, name: str) -> list[Explanation]:
@@ -284,24 +268,17 @@ def _one_contrast(tiles: Tiles, own: FloatArray, name: str) -> list[Explanation]
         return f"{name if n[0] < 0 else CHANNELS.replace(name, '')} blurred by {np.sqrt(abs(n[0])):.2f} px"
 
     return [
-        Explanation(causes, 1, lambda n: n * own, percent, _BLACK),
+        Explanation(causes, own[None, None], percent, _BLACK),
         _black_level(tiles, own, name),
-        Explanation(("camera defocus",), 1, lambda n: n * tiles.frequency[:, None] ** 2 / 2 * own, blurred, _BLACK),
+        Explanation(("camera defocus",), (tiles.frequency[:, None] ** 2 / 2 * own)[None], blurred, _BLACK),
     ]
 
 
-def _evidence(change: Any, count: int) -> FloatArray:
-    """Return the (T, 6) numbers of a change (T, 3) that make a ripple: what all channels have in common makes none."""
-    change = np.broadcast_to(change, (count, 3))
-    change = change - change.mean(axis=1, keepdims=True)
-    return np.concatenate([change.real, change.imag], axis=1)
-
-
-def fit_explanation(row: Explanation, evidence: FloatArray, weight: FloatArray) -> tuple[FloatArray, float]:
-    """Return the numbers (n,) with which a row explains evidence (T, 6) best, and the squares that it leaves."""
-    shapes = [_evidence(row.change(one), len(evidence)).ravel() for one in np.eye(row.n)]
-    fit = robust_fit(evidence.ravel(), np.repeat(weight, 6), np.reshape(shapes, (row.n, evidence.size)).T)
-    return fit.value, fit.squares
+def _evidence(change: npt.NDArray[Any], count: int) -> FloatArray:
+    """Return what of changes (..., T or 1, 3) makes a ripple, (..., 6 T): not what all channels have in common."""
+    change = np.broadcast_to(change, (*change.shape[:-2], count, 3))
+    change = change - change.mean(axis=-1, keepdims=True)
+    return np.concatenate([change.real, change.imag], axis=-1).reshape(*change.shape[:-2], 6 * count)
 
 
 def explain_fundamental(
@@ -319,27 +296,25 @@ def explain_fundamental(
     evidence = _evidence(np.log(abs(relative)) + 1j * np.angle(relative * np.conj(relative[:, 1:2])), count)
     findings: list[RippleFinding] = []
     while True:
-        phases = evidence[:, 3:]
+        phases = evidence.reshape(count, 2, 3)[:, 1]
         table = explanations(tiles, phases[:, ::2] - phases[:, 1:2])
-        numbers, squares = zip(*(fit_explanation(row, evidence, tiles.weight) for row in table), strict=True)
-        leaks = least_crosstalk(expected.mean(axis=0) * np.exp(table[-1].change(numbers[-1])), scale / most_contrast)
+        fits = [robust_fit(evidence, np.repeat(tiles.weight, 6), _evidence(row.shapes, count).T) for row in table]
+        changes = [np.tensordot(fit.value, row.shapes, 1) for fit, row in zip(fits, table, strict=True)]
+        leaks = least_crosstalk(expected.mean(axis=0) * np.exp(changes[-1][0]), scale / most_contrast)
         if leaks is None:  # no matrix makes this change
-            table, squares = table[:-1], squares[:-1]
-        penalty = [2 * (row.n + row.chosen) * np.log(count) for row in table]
-        possible, confidence = decide(squares, count, penalty)
+            table, fits = table[:-1], fits[:-1]
+        penalty = [2 * (len(row.shapes) + row.chosen) * np.log(count) for row in table]
+        possible, confidence = decide([fit.squares for fit in fits], count, penalty)
         best, causes = possible[0], dict.fromkeys(cause for k in possible for cause in table[k].causes)
-        change = np.broadcast_to(table[best].change(numbers[best]), (count, 3))
-        explained = _evidence(change, count)
-        strong = np.argsort(np.linalg.norm(explained, axis=1))[int(0.95 * count)]
-        wave = scale * ideal(matrix) * np.exp(change[strong])
+        explained = _evidence(changes[best], count)
+        strong = np.argsort(np.linalg.norm(explained.reshape(count, 6), axis=1))[int(0.95 * count)]
+        wave = scale * ideal(matrix) * np.exp(np.broadcast_to(changes[best], (count, 3))[strong])
         ripple_rad = ripple_by_harmonic(waves_of_spectrum(wave[:, None]), matrix)
         # What was chosen for being large has twice the noise.
         least = 2 * limit if table[best].chosen else limit
         if not all(table[k].causes for k in possible) or max(ripple_rad.values()) < least:
             return findings
-        size = " or ".join(
-            leaks or "" if "crosstalk" in table[k].causes else table[k].words(numbers[k]) for k in possible
-        )
+        size = " or ".join(table[k].words(fits[k].value) or str(leaks) for k in possible)
         findings.append(RippleFinding(tuple(causes), size, ripple_rad, confidence, table[best].advice))
         limit, evidence = max(limit, _LEAKAGE * max(ripple_rad.values())), evidence - explained
 
@@ -353,7 +328,7 @@ def least_crosstalk(seen: npt.NDArray[np.complex128], contrast: float) -> str | 
     # No contrast is above the pattern's own: leaks that are negative even then, no light has made.
     if (1 + 2 * contrast * (turned[:, None] * np.exp(-1j * PHASES)).real).min() < -3 * _LEAST_LEAK:
         return None
-    rows = "; ".join(" ".join(f"{entry:.2f}" for entry in row) for row in smallest_leaks(turned))
+    rows = "; ".join(" ".join(f"{abs(entry):.2f}" for entry in row) for row in smallest_leaks(turned))
     return f"at least [{rows}], rows' sums one"
 
 
