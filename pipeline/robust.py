@@ -10,8 +10,8 @@ def robust_sigma(residuals: FloatArray) -> float:
     return 1.4826 * float(np.median(np.abs(residuals)))
 
 
-# Fits of a shape, each to what lies within three standard deviations of the one before.
-_FITS, _WITHIN = 8, 3.0
+# Fits of a shape, each to what lies within four standard deviations of the one before.
+_FITS, _WITHIN = 4, 4.0
 
 
 def _near(points: FloatArray, residuals: FloatArray) -> FloatArray:
