@@ -57,8 +57,9 @@ _MIN_SAMPLES = _GROUPS * (1 + 2 * HARMONICS)
 #: Crosstalk of which nothing is known turns the phase about grey by this, rad: camera filters leak up to a quarter of
 #: the neighbouring primary, to one side more than to the other.
 USUAL_TURN = 0.1
-# A turn less sure than this, rad, or a rest beyond it, leaves the phase's constant unknown.
-_MAX_CONSTANT = 0.03
+#: A turn less sure than this, rad, or a rest beyond it, leaves the phase's constant unknown: it is not only crosstalk
+#: and response, then, by which the channels differ.
+MAX_CONSTANT = 0.03
 
 
 class LightEstimate(Model):
@@ -151,7 +152,7 @@ def _turn(H: _Complexes, floor: float) -> tuple[float, float]:
     return float(least[0] + trust * np.angle(product[0]) / 3), float(deviation)
 
 
-def _matrix(h: _Complexes) -> FloatArray:
+def smallest_leaks(h: _Complexes) -> FloatArray:
     """Return the matrix of h_j = sum_k M_jk exp(i d_k), rows of sum one, scaled so that no leak is negative."""
     real = (h[:, None] * _TURNS.conj()).real
     return np.asarray(1 / 3 - real / (3 * min(real[~np.eye(3, dtype=bool)].min(), -TINY)))
@@ -187,7 +188,7 @@ def estimate_light(image: LevelsImage, levels: FrameLevels, period_px: float, cy
         harmonics = _channel_harmonics(model, correction)
         turn, constant_sigma = _turn(harmonics, floor)
         harmonics = harmonics * np.exp(-1j * turn * _ORDERS)
-        matrices = np.stack([_matrix(row[:, 0]) for row in harmonics])
+        matrices = np.stack([smallest_leaks(row[:, 0]) for row in harmonics])
         matrix = matrices[0]
     return _estimate(harmonics, matrices, constant_sigma, cycles, ripple)
 
@@ -214,7 +215,7 @@ def _estimate(
         response=_response_curve(own[0]),
         correction=_correction(expected + rest),
         constant_sigma=min(constant_sigma, np.pi),  # where nothing tells it, any turn is as likely
-        constant_known=bool(constant_sigma < _MAX_CONSTANT and misfit < _MAX_CONSTANT),
+        constant_known=bool(constant_sigma < MAX_CONSTANT and misfit < MAX_CONSTANT),
         cycles=cycles,
         ripple=ripple,
         misfit=misfit,

@@ -15,6 +15,7 @@ from pipeline.causes import Cause
 from pipeline.decoder import Decoder
 from pipeline.decoding.doubts import finest_fringe
 from pipeline.decoding.frame import DecodedFrame
+from pipeline.decoding.self_calibration import MAX_CONSTANT
 from pipeline.diagnosis.channel_spectra import KnownLight
 from pipeline.diagnosis.frame_sequence import MIN_FRAMES, SequenceDiagnosis, diagnose_sequence
 from pipeline.diagnosis.ripple import Diagnosis, diagnose
@@ -473,10 +474,10 @@ def _turned(stored: StoredFrame, settings: DecodeSettings) -> DecodeSettings:
 
 
 def _known_crosstalk(decoder: Decoder | None) -> FloatArray | None:
-    """Return the crosstalk that decoding undoes, as far as anything determines it."""
+    """Return the crosstalk that is given, or that a frame showed; None: none that explains how its channels differ."""
     if decoder is None:
         return None
-    known = decoder.settings.crosstalk_matrix
-    if known is None and decoder.light is not None and decoder.light.reliable:
-        return decoder.light.crosstalk_matrix
+    known, light = decoder.settings.crosstalk_matrix, decoder.light
+    if known is None and light is not None and light.reliable and light.misfit < MAX_CONSTANT:
+        return light.crosstalk_matrix
     return known

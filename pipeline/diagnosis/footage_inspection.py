@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from pipeline.diagnosis.channel_spectra import LEAST_RAD
 from pipeline.diagnosis.footage_evidence import (
     MIN_CONTRAST,
     FootageEvidence,
@@ -34,8 +35,6 @@ Grade = Literal["fine", "costs", "spoils"]
 #: From the best to the worst.
 GRADES: tuple[Grade, ...] = ("fine", "costs", "spoils")
 
-# Nobody sees a smaller error of the phase, rad: 0.02 mm on a rig with 0.14 rad a mm.
-_LEAST_RAD = 0.003
 # A greater one, RMS rad, should not be put up with: a dark surface under a bad projector has less in good footage with
 # subsampled colours.
 _MOST_RAD = 0.06
@@ -144,7 +143,7 @@ def _finding(
     """Return a finding; without a grade its cost gives it."""
     if grade is None:
         cost = cost_rad or 0.0
-        grade = "spoils" if cost >= _MOST_RAD else "costs" if cost >= _LEAST_RAD else "fine"
+        grade = "spoils" if cost >= _MOST_RAD else "costs" if cost >= LEAST_RAD else "fine"
     return FootageFinding(topic, found, cost_rad, grade, "" if grade == "fine" else advice)
 
 
@@ -255,7 +254,7 @@ def storage_findings(
             f"RGB made of a video: each colour is repeated for {seen.repeated}; interpolated instead, it costs this",
             rest,
             "decode the video itself, or record its planes: cv2.VideoCapture and ffmpeg repeat colours",
-            grade=None if rest >= _LEAST_RAD else "costs",
+            grade=None if rest >= LEAST_RAD else "costs",
         )
     names = {(2, 2): "4:2:0", (2, 1): "4:2:2", (1, 2): "4:4:0", (4, 1): "4:1:1", (4, 4): "4:1:0"}
     name = names.get((x, y), f"one in {x} across and {y} down")
@@ -272,7 +271,7 @@ def storage_findings(
             f"{name}: one colour for {x * y} pixels" + (", what the codec costs included" if facts.lossy else ""),
             rest,
             "record RGB, 4:4:4 or raw Bayer" + ("; a lossy codec with more bits" if facts.lossy else ""),
-            grade=None if rest >= _LEAST_RAD else "costs",
+            grade=None if rest >= LEAST_RAD else "costs",
         )
     if seen.siting is not None:
         assumed, better = source.format.siting, seen.siting.better
@@ -293,7 +292,7 @@ def storage_findings(
         advice = f"if the camera delivers {used} bits, add --bits {used}, or clipping goes unseen; else expose more"
         yield _finding("depth", kind, typical.level_limit_rad, advice, grade="costs")
         return
-    rough = typical.level_limit_rad > max(_LEAST_RAD, _ROUGH * typical.limit_rad)
+    rough = typical.level_limit_rad > max(LEAST_RAD, _ROUGH * typical.limit_rad)
     advice = "record more bits, or expose more"
     yield _finding("depth", kind, typical.level_limit_rad, advice, grade=None if rough else "fine")
 
@@ -303,7 +302,7 @@ def light_findings(seen: FootageEvidence, typical: FrameQuality) -> Iterator[Foo
     diagnosed = () if seen.diagnosis is None else seen.diagnosis.findings
     cut = [_rms(finding.ripple_rad) for finding in diagnosed if finding.causes == ("clipping",)]
     cost = max(cut, default=0.0)
-    grade: Grade | None = "costs" if typical.lost > _LITTLE_LOST and cost < _LEAST_RAD else None
+    grade: Grade | None = "costs" if typical.lost > _LITTLE_LOST and cost < LEAST_RAD else None
     yield _finding(
         "saturation",
         f"{typical.clipped:.1%} of the lit pixels have a channel at full scale, {typical.lost:.1%} no phase by it",

@@ -17,8 +17,10 @@ import numpy.typing as npt
 
 from pipeline.calibration.model import Geometry
 from pipeline.diagnosis.channel_spectra import (
+    LEAST_RAD,
     OVERLAP,
     PHASES,
+    SIGMAS,
     RippleFinding,
     fit_tiles,
     ripple_by_harmonic,
@@ -41,16 +43,12 @@ _PEAK = 12.0
 _EVEN = 0.5
 # A beat of a smaller part of the colours is not worth a word.
 _LEAST_BEAT = 0.01
-# Nobody sees a smaller step of the phase from colour to colour, rad.
-_LEAST_STEP_RAD = 0.003
 # Speeds that vary by less, rad per frame, do not distinguish motion from lateral colour.
 _LEAST_SPEED_RAD = 0.01
 # Tiles of all frames together, at least, whose speed varies by more.
 _MIN_MOVING = 20
 # The object's depth where the axes of camera and projector do not meet, mm.
 _USUAL_DEPTH_MM = 1000.0
-# A motion must exceed its own standard error by this factor.
-_SIGMAS = 5.0
 
 
 @dataclass(frozen=True)
@@ -206,7 +204,7 @@ def _motion(lags: FloatArray, speeds: FloatArray, geometry: Geometry | None) -> 
     fit = robust_fit(lag, np.ones(len(lag)), speed[:, None])
     green, blue = fit.value[0]
     bias = abs(green + blue) / 3 * worst_speed  # the decoded phase is that of the channels' mean time
-    if np.all(np.abs(fit.value[0]) < _SIGMAS * fit.error[0]) or bias < _LEAST_STEP_RAD:
+    if np.all(np.abs(fit.value[0]) < SIGMAS * fit.error[0]) or bias < LEAST_RAD:
         return None
     text = f"{bias:.3f} rad"
     if geometry is not None:

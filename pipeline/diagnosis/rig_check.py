@@ -25,7 +25,7 @@ from pipeline.diagnosis.ripple import Diagnosis, diagnose, other_transfer
 from pipeline.errors import CalibrationError, DecodeWarning, FootageError
 from pipeline.footage.source import BadFrame, Source
 from pipeline.models import CameraState, CodeName, FloatArray, ImageArray
-from pipeline.robust import robust_sigma
+from pipeline.robust import fit_plane, fit_sphere, robust_sigma
 from pipeline.settings import DecodeSettings
 from tikernels import runtime
 from tikernels.depth.triangulation import triangulate
@@ -185,25 +185,22 @@ def _fit_shape(
     shape: Shape,
 ) -> _ShapeFit | None:
     """Lay a shape through a surface; None where too little of it is in front of the camera, or in one piece."""
+    surface = surface & np.isfinite(all_points[..., 2])
     points, sigma = all_points[surface].astype(np.float64), point_sigma[surface].astype(np.float64)
-    keep = np.isfinite(points[:, 2])
-    radius = None
-    for _ in range(4):
-        if np.count_nonzero(keep) < _MIN_SURFACE_PX // 2:
+    if len(points) < _MIN_SURFACE_PX // 2:
+        return None
+    if shape == "plane":
+        middle, normal = fit_plane(points)
+        residual, towards = (points - middle) @ normal, np.broadcast_to(normal, points.shape)
+        position, radius = np.array([0.0, 0.0, middle @ normal / normal[2]]), None
+    else:
+        sphere = fit_sphere(points)
+        if sphere is None:
             return None
-        if shape == "plane":
-            middle = points[keep].mean(axis=0)
-            normal = np.linalg.svd(points[keep] - middle, full_matrices=False)[2][2]
-            residual = (points - middle) @ normal
-            towards = np.broadcast_to(normal, points.shape)
-            position = np.array([0.0, 0.0, middle @ normal / normal[2]])
-        else:
-            position, radius = _sphere(points[keep])
-            away = points - position
-            distance = np.linalg.norm(away, axis=1)
-            residual, towards = distance - radius, away / distance[:, None]
-        limit = _OUTLIER_SIGMAS * robust_sigma(residual[keep])
-        keep = np.isfinite(residual) & (np.abs(residual) <= max(limit, 1e-6))
+        position, radius = sphere
+        distance = np.linalg.norm(points - position, axis=1)
+        residual, towards = distance - radius, (points - position) / distance[:, None]
+    keep = np.abs(residual) <= max(_OUTLIER_SIGMAS * robust_sigma(residual), 1e-6)
     # A point moves along its ray; across the surface it moves by the cosine.
     rays = points / np.linalg.norm(points, axis=1, keepdims=True)
     across = sigma * np.abs((rays * towards).sum(axis=1))
@@ -223,23 +220,6 @@ def _fit_shape(
         coarse=means[whole],
         spread=float(np.sqrt(np.mean(residual[keep] ** 2))),
     )
-
-
-def _sphere(points: FloatArray) -> tuple[FloatArray, float]:
-    """Return centre and radius of the sphere nearest to points: algebraic first, then by distance."""
-    origin = points.mean(axis=0)
-    moved = points - origin
-    system = np.concatenate([2 * moved, np.ones((len(points), 1))], axis=1)
-    solution = np.linalg.lstsq(system, (moved**2).sum(axis=1), rcond=None)[0]
-    centre = solution[:3]
-    radius = float(np.sqrt(max(solution[3] + centre @ centre, 1e-9)))
-    for _ in range(10):
-        away = moved - centre
-        distance = np.linalg.norm(away, axis=1)
-        jacobian = np.concatenate([-away / distance[:, None], -np.ones((len(points), 1))], axis=1)
-        step = np.linalg.lstsq(jacobian, -(distance - radius), rcond=None)[0]
-        centre, radius = centre + step[:3], radius + float(step[3])
-    return origin + centre, radius
 
 
 def _predicted_bias(calibration: Calibration) -> float:

@@ -17,12 +17,13 @@ import numpy.typing as npt
 
 from pipeline.diagnosis.channel_spectra import (
     CHANNELS,
+    LEAST_RAD,
     MIN_TILES,
-    ExpectedLight,
     KnownLight,
     RippleFinding,
     Tiles,
     clipping_ripple,
+    expected_light,
     fit_tiles,
     mean_spectrum,
     ripple_by_harmonic,
@@ -30,7 +31,7 @@ from pipeline.diagnosis.channel_spectra import (
     smooth_phase,
     waves_of_spectrum,
 )
-from pipeline.diagnosis.ripple_causes import UNKNOWN, explain_fundamental, explain_harmonics
+from pipeline.diagnosis.ripple_causes import explain_fundamental, explain_harmonics
 from pipeline.models import FloatArray, ImageArray
 from tikernels.raw.linearization import Transfer, linear_values
 
@@ -59,8 +60,6 @@ _MIN_CYCLES = _MEANS + 2
 _MIN_PIXELS = 5000
 # A ripple below this part of one pixel's own noise is not what makes a surface wavy.
 _NOISE_SHARE = 0.25
-# Nobody sees a smaller ripple: 3 mrad are 0.02 mm on a rig with 0.14 rad a mm.
-_LEAST_RIPPLE_RAD = 0.003
 # Where a greater share of a channel's pixels is clipped, what is left of its wave shows nothing else.
 _MAX_CLIPPED = 0.1
 
@@ -178,20 +177,18 @@ def diagnose(
     sure = np.zeros_like(mask) if absolute is None or known.code is None else mask & absolute
     coded = int(np.count_nonzero(sure)) >= _MIN_PIXELS
     phase, usable, period = smooth_phase(unwrapped_phase, sure if coded else mask)
-    light, expected = linear_values(signal, transfer), ExpectedLight(known, coded=coded)
+    light, expected = linear_values(signal, transfer), expected_light(known, coded=coded)
     seen = fit_tiles(light, phase, usable, period, None, expected)
     if len(seen.mean) < MIN_TILES:
         return nothing
-    noise = np.median(seen.noise) / np.median(seen.mean, axis=0)  # of the mean, by channel
-    pixel_noise = np.sqrt(2 / 9 * np.sum(noise**2)) / np.median(abs(seen.spectrum[..., 0]))  # rad
-    limit = max(_LEAST_RIPPLE_RAD, _NOISE_SHARE * pixel_noise)
-
+    seen_rad = seen_ripple(unwrapped_phase, phase, usable)
+    limit = max(LEAST_RAD, _NOISE_SHARE * _pixel_noise(seen))
     bands = find_bands(light, mask, period)
     findings = [] if bands is None else [bands]
     tiles, keep = seen, None
     if clipped[usable].any():
-        # The rest of the diagnosis does without what lost its shape. Neighbours go too: choosing pixels by their own
-        # value alone would choose by their noise, and bend the fit.
+        # The rest does without what lost its shape, and its neighbours: choosing pixels by their own value alone would
+        # choose by their noise, and bend the fit.
         keep = ~np.stack([cv2.dilate(np.uint8(c), np.ones((3, 3))) > 0 for c in np.moveaxis(clipped, -1, 0)], -1)
         tiles = fit_tiles(light, phase, usable, period, keep, expected)
         lost = clipping_ripple(image >= white_level, image <= 0, usable, period, mean_spectrum(tiles), matrix)
@@ -199,22 +196,25 @@ def diagnose(
         if max(lost.values()) > limit:
             findings.append(_clipping_finding(shares, lost))
         if shares.max() > _MAX_CLIPPED or len(tiles.mean) < MIN_TILES:
-            seen_rad = seen_ripple(unwrapped_phase, phase, usable)
-            return Diagnosis(tuple(findings), lost, seen_rad, float(limit), ("too much is clipped to say more",))
+            return Diagnosis(tuple(findings), lost, seen_rad, limit, ("too much is clipped to say more",))
 
     other = other_transfer(transfer)
-
-    def read_otherwise() -> Tiles:
-        return fit_tiles(linear_values(signal, other), phase, usable, period, keep, expected)
-
-    found, tiles, fundamentals = explain_harmonics(tiles, matrix, limit, period, other, read_otherwise)
-    if bands is not None:  # levels that are cut short make harmonics that nothing else explains
-        found = [finding for finding in found if finding.causes != UNKNOWN]
-    findings += found + explain_fundamental(tiles, fundamentals, matrix, limit)
+    found, tiles, fundamentals = explain_harmonics(
+        tiles, matrix, limit, period, other,
+        lambda: fit_tiles(linear_values(signal, other), phase, usable, period, keep, expected),
+    )  # fmt: skip
+    if bands is None:  # else levels that are cut short make harmonics of their own
+        findings += found
+    findings += explain_fundamental(tiles, fundamentals, matrix, limit)
     findings.sort(key=lambda finding: -max(finding.ripple_rad.values()))
     everything = ripple_by_harmonic(waves_of_spectrum(mean_spectrum(seen)), matrix)
-    seen_rad = seen_ripple(unwrapped_phase, phase, usable)
-    return Diagnosis(tuple(findings), everything, seen_rad, float(limit), (_color_note(tiles),))
+    return Diagnosis(tuple(findings), everything, seen_rad, limit)
+
+
+def _pixel_noise(tiles: Tiles) -> float:
+    """Return the noise of one pixel's phase, rad."""
+    noise = np.median(tiles.noise) / np.median(tiles.mean, axis=0)  # of the mean, by channel
+    return float(np.sqrt(2 / 9 * np.sum(noise**2)) / np.median(abs(tiles.spectrum[..., 0])))
 
 
 def _clipping_finding(shares: FloatArray, ripple_rad: dict[int, float]) -> RippleFinding:
@@ -222,15 +222,6 @@ def _clipping_finding(shares: FloatArray, ripple_rad: dict[int, float]) -> Rippl
     share = ", ".join(f"{c} {100 * s:.1f} %" for c, s in zip(CHANNELS, shares, strict=True))
     advice = "expose less, or dim the projector"
     return RippleFinding(("clipping",), f"clipped pixels: {share}", ripple_rad, 0.99, advice)
-
-
-def _color_note(tiles: Tiles) -> str:
-    """Return the channels' relative brightness, which makes no ripple."""
-    color = np.median(tiles.mean, axis=0)
-    means = " : ".join(f"{v / color[1]:.2f}" for v in color)
-    return (
-        f"channels' means R : G : B = {means}: surface colour, light or white balance; harmless, the balance undoes it"
-    )
 
 
 def other_transfer(transfer: Transfer) -> str:

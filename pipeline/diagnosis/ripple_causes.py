@@ -5,25 +5,29 @@ ambient light and crosstalk, the transfer after them. So each is undone in turn:
 is known of the light. A Gaussian blur of lens, pixels and focus takes exp(-s (k**2 - 1)) off the known k-th harmonic
 over the fundamental.
 
-Contrasts and phases of the fundamentals differ by crosstalk, lenses, a black level, or motion.
+Contrasts and phases of the fundamentals differ by crosstalk, lenses, a black level, or motion. Each is a row of one
+table: a linear change of the logarithms of the fundamentals, tile by tile. All rows are fitted to the same evidence and
+compared by the squares that they leave, with a penalty for the numbers that they take.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from pipeline.decoding.self_calibration import smallest_leaks
 from pipeline.diagnosis.channel_spectra import (
     CHANNELS,
     DECISIVE,
     MIN_TILES,
-    OVERLAP,
     PHASES,
     SIGMAS,
     RippleFinding,
     RobustFit,
     Tiles,
+    mean_spectrum,
     neighbours_median,
     ripple_by_harmonic,
     robust_fit,
@@ -38,16 +42,19 @@ _MIN_EXPLAINED = 0.7
 # Lens, pixels and focus together usually blur by 0.7 px; from twice that on it is a fault. The steps are so fine that
 # between two of them a second harmonic differs by 3 % of itself.
 _MOST_BLUR_PX, _BLURS = 1.5, 31
+# Variance of a leak of which nothing is known, over that of a spectrum: large, and no hindrance to a solution.
+_UNKNOWN_LEAK = 1e-5
 # A leak that comes out negative by up to this part of a channel's own is noise's.
 _LEAST_LEAK = 0.05
 # Lags up to a shift of a pixel at 12 px per cycle, in steps of 5 mrad: what a step leaves of a fundamental the leaks
 # take up, and spoil harmonics by as much.
 _MOST_LAG_RAD, _LAGS = 0.6, 241
-# Contrast and phase leak into each other a little (curvature, second order): up to this share is not a second fault.
+# What is left of a cause (curvature, second order) is up to this share of it, and no second fault.
 _LEAKAGE = 0.15
-# The phase, rad, by which crosstalk may turn all channels alike is sought within this, in so fine steps (5 mrad) that
-# none changes a leak by a hundredth.
-_MAX_TURN_RAD, _TURNS = 0.3, 121
+_BLACK = "subtract a frame of black from the same projector; if the ripple stays, refocus or calibrate the crosstalk"
+_COLORS = "subtract a frame of black from the same projector; then calibrate the crosstalk with each colour alone"
+_AT_REST = "photograph the scene at rest: if it stays, calibrate the lateral colour; if not, show all colours at once"
+_MATRIX = "calibrate the crosstalk with three single-colour frames; 4:2:0 video looks like this too"
 
 
 def own_harmonics(spectrum: npt.NDArray[np.complex128], weight: FloatArray, matrix: FloatArray) -> RobustFit:
@@ -61,56 +68,38 @@ def own_harmonics(spectrum: npt.NDArray[np.complex128], weight: FloatArray, matr
     return robust_fit(unmixed[..., 1:] * np.exp(-1j * turns * np.angle(first)) / abs(first), weight)
 
 
-class _KnownHarmonics(NamedTuple):
-    """Of the light that is expected, blurred so that it is nearest to a frame's."""
-
-    harmonics: npt.NDArray[np.complex128]  # (3, K - 1) of the primaries, over their fundamental and in its phase
-    response: int  # the number of the response
-
-
-def known_harmonics(
-    tiles: Tiles, own: npt.NDArray[np.complex128], matrix: FloatArray, period_px: float
-) -> _KnownHarmonics:
-    """Return what is expected of harmonics (3, K - 1), the frame's own, by the response and blur that come nearest."""
-    turns = np.arange(2, own.shape[1] + 2)
-    left = np.exp(-_blurs(period_px)[:, None, None] * (turns**2 - 1))
-    best, least = _KnownHarmonics(np.zeros_like(own), 0), np.inf
-    for number in range(tiles.expected.shape[-1]):
-        sharp = own_harmonics(tiles.expected[..., number], tiles.weight, matrix).value[0]
-        misfits = np.sum(abs(own - sharp * left) ** 2, axis=(1, 2))
-        nearest = int(np.argmin(misfits))
-        if misfits[nearest] < least:
-            best, least = _KnownHarmonics(sharp * left[nearest], number), misfits[nearest]
-    return best
-
-
-def left_by_mixing(tiles: Tiles, matrix: FloatArray, response: int, period_px: float) -> npt.NDArray[np.complex128]:
-    """Return what of the channels' harmonics no mixing and no lag make of the light that is expected, (3, K - 1).
+def left_by_mixing(
+    spectrum: npt.NDArray[np.complex128], lights: npt.NDArray[np.complex128], period_px: float
+) -> tuple[npt.NDArray[np.complex128], int]:
+    """Return what of the channels' harmonics no mixing, lag and blur make of the projector's light, (3, K - 1).
 
     A crosstalk, or a lateral colour, that is not known mixes the known harmonics otherwise, or shifts them: that is no
-    fault of their own. The leaks into each channel, none negative, and its lag are fitted to all of its spectrum.
+    fault of their own. The leaks into each channel and its lag are fitted to all of its spectrum (3, K) by each of the
+    lights (R, 3, K); second, the number of the light that leaves the least.
     """
-    seen = robust_fit(tiles.spectrum, tiles.weight).value[0]
-    pure = np.linalg.inv(matrix) @ robust_fit(tiles.expected[..., response], tiles.weight).value[0]
-    turns = np.arange(1, seen.shape[1] + 1)
+    turns = np.arange(1, spectrum.shape[1] + 1)
     lags = np.linspace(-_MOST_LAG_RAD, _MOST_LAG_RAD, _LAGS)[:, None, None]
-    best, least = seen, np.inf
-    for blur in _blurs(period_px):
-        known = pure * np.exp(-blur * (turns**2 - 1)) * np.exp(1j * turns * lags)  # (lags, 3, K)
-        both, wanted = (np.concatenate([values.real, values.imag], axis=-1) for values in (known, seen))
-        rows = wanted @ np.linalg.pinv(both)  # (lags, 3, 3)
-        rest = seen - rows @ known
+    best, least, number = spectrum, np.inf, 0
+    for k, blur in product(range(len(lights)), np.linspace(0, 2 * (np.pi * _MOST_BLUR_PX / period_px) ** 2, _BLURS)):
+        known = lights[k] * np.exp(-blur * (turns**2 - 1)) * np.exp(1j * turns * lags)  # (lags, 3, K)
+        both, wanted = (np.concatenate([values.real, values.imag], axis=-1) for values in (known, spectrum))
+        # A leak that is alike from all primaries shows in every third harmonic only, which may be none.
+        gram = both @ both.swapaxes(-1, -2) + _UNKNOWN_LEAK * np.eye(3)
+        rest = spectrum - np.linalg.solve(gram, both @ wanted.T).swapaxes(-1, -2) @ known
         misfits = np.sum(abs(rest) ** 2, axis=-1)  # (lags, 3)
-        misfits[rows.min(axis=-1) < -_LEAST_LEAK * rows.max(axis=-1)] = np.inf
         nearest = np.argmin(misfits, axis=0)
         misfit = float(misfits[nearest, range(3)].sum())
         if misfit < least:
-            best, least = rest[nearest, range(3)], misfit
-    return np.asarray(best[:, 1:])
+            best, least, number = rest[nearest, range(3)], misfit, k
+    return np.asarray(best[:, 1:]), number
 
 
-def _blurs(period_px: float) -> FloatArray:
-    return np.linspace(0, 2 * (np.pi * _MOST_BLUR_PX / period_px) ** 2, _BLURS)
+def _left_of(tiles: Tiles, matrix: FloatArray, period_px: float) -> tuple[npt.NDArray[np.complex128], int]:
+    """Return what no mixing makes of the light that is expected of these tiles, over the primaries' contrast."""
+    unmix, spectrum = np.linalg.inv(matrix), mean_spectrum(tiles)
+    lights = unmix @ np.moveaxis(robust_fit(tiles.expected, tiles.weight).value[0], -1, 0)
+    rest, number = left_by_mixing(spectrum, lights, period_px)
+    return rest / np.median(abs(unmix @ spectrum[:, 0])), number
 
 
 def explain_harmonics(
@@ -148,47 +137,38 @@ def explain_harmonics(
         The fundamentals that are expected of these tiles, the response that was found in them.
     """
     fit = own_harmonics(tiles.spectrum, tiles.weight, matrix)
-    own, floor = fit.value[0], np.sum(fit.error**2)
-    contrast = np.median(abs(tiles.spectrum[..., 0]))
-    turns = np.arange(1, own.shape[1] + 2)
-    known, number = known_harmonics(tiles, own, matrix, period_px)
-    fundamental = contrast * np.exp(1j * PHASES[:, None])
-
-    def size_of(harmonics: npt.NDArray[np.complex128]) -> dict[int, float]:
-        return ripple_by_harmonic(waves_of_spectrum(np.hstack([matrix @ fundamental, harmonics])), matrix)
-
-    size = size_of(matrix @ ((own - known) * contrast * np.exp(1j * turns[1:] * PHASES[:, None])))
-    power = np.sum(abs(own - known) ** 2)  # of what is not known
+    own, contrast = fit.value[0], np.median(abs(tiles.spectrum[..., 0] @ np.linalg.inv(matrix).T))
+    rest, number = _left_of(tiles, matrix, period_px)
+    pattern = np.exp(1j * PHASES[:, None] * np.arange(1, own.shape[1] + 2))
+    size = ripple_by_harmonic(waves_of_spectrum(contrast * np.hstack([matrix @ pattern[:, :1], rest])), matrix)
+    power, floor = np.sum(abs(rest) ** 2), np.sum(fit.error**2)
     expected = tiles.expected[:, :, 0, number]
     if max(size.values()) < limit or power < SIGMAS**2 * floor / own.size:
         return [], tiles, expected
-    if max(size_of(left_by_mixing(tiles, matrix, number, period_px)).values()) < limit:
-        return [], tiles, expected
     # ((1 + cos) / 2)**gamma has c_(k+1) / c_k = (gamma - k) / (gamma + k + 1), and 2 c_1 / c_0 = 2 gamma / (gamma + 1).
-    second = np.clip(own[:, 0].real, -0.45, 0.8)
+    second, turns = np.clip(own[:, :1].real, -0.45, 0.8), np.arange(1, own.shape[1] + 1)
     gamma = (1 + 2 * second) / (1 - second)
-    predicted = np.cumprod((gamma[:, None] - turns[:-1]) / (gamma[:, None] + turns[:-1] + 1), axis=1)
-    otherwise = read_otherwise()
-    left = {"response": np.sum(abs(own - predicted) ** 2)}
+    power_law = np.cumprod(np.hstack([gamma**0, (gamma - turns) / (gamma + turns + 1)]), axis=1) * pattern
+    otherwise, left = read_otherwise(), {}
+    left["response"] = left_by_mixing(mean_spectrum(tiles), power_law[None], period_px)[0] / contrast
     if len(otherwise.mean) >= MIN_TILES:
-        own_otherwise = own_harmonics(otherwise.spectrum, otherwise.weight, matrix).value[0]
-        known_otherwise = known_harmonics(otherwise, own_otherwise, matrix, period_px)
-        left["transfer"] = np.sum(abs(own_otherwise - known_otherwise.harmonics) ** 2)
-    best = min(left.values())
+        left["transfer"], number = _left_of(otherwise, matrix, period_px)
+    squares = {cause: np.sum(abs(rest) ** 2) for cause, rest in left.items()}
+    best = min(squares.values())
     explained = 1 - best / power
     if explained < _MIN_EXPLAINED:
         advice = "look at the camera's picture profile (contrast, sharpening) and at interreflections"
         found = RippleFinding(UNKNOWN, "neither a power law nor a transfer", size, 0.5, advice)
         return [found], tiles, expected
-    words = _words(gamma, other)
-    causes = tuple(name for name, value in left.items() if value < 4 * best + DECISIVE * floor)
+    words = _words(gamma[:, 0], other)
+    causes = tuple(cause for cause, value in squares.items() if value < 4 * best + DECISIVE * floor)
     sizes, advice = (" or ".join(words[cause][i] for cause in causes) for i in (0, 1))
     finding = RippleFinding(causes, sizes, size, float(min(explained, 0.99)), advice)
     if causes == ("transfer",):
-        return [finding], otherwise, otherwise.expected[:, :, 0, known_otherwise.response]
+        return [finding], otherwise, otherwise.expected[:, :, 0, number]
     # Each primary's contrast as the response that was found makes it.
     unmixed = expected @ np.linalg.inv(matrix).T
-    change = 2 * gamma / (gamma + 1) / np.median(abs(unmixed), axis=0)
+    change = (2 * gamma / (gamma + 1))[:, 0] / np.median(abs(unmixed), axis=0)
     return [finding], tiles, (change * unmixed) @ matrix.T
 
 
@@ -211,224 +191,153 @@ def ideal(matrix: FloatArray, contrast: Any = 1.0) -> npt.NDArray[np.complex128]
     return np.asarray(matrix @ (contrast * np.exp(1j * PHASES)))
 
 
+class Explanation(NamedTuple):
+    """A row of the table of causes: something that changes the channels' fundamentals in a way of its own."""
+
+    causes: tuple[str, ...]
+    #: (n, T or 1, 3): what n numbers add to the logarithms of the fundamentals, of the contrast and i times the phase.
+    shapes: npt.NDArray[Any]
+    words: Callable[[FloatArray], str]
+    advice: str
+    chosen: int = 0  # how many more numbers were chosen from the tiles themselves
+
+
+def explanations(tiles: Tiles, lag: FloatArray) -> list[Explanation]:
+    """Return the table of causes for tiles whose red and blue lag behind green by (T, 2) rad; first: nothing."""
+    f, across = tiles.frequency[:, None], tiles.across[:, None]
+    two, fields = np.eye(3)[::2, None], np.array([[[-1j, 0, 1j]]])
+    strength = np.hypot(*neighbours_median(lag, tiles.place).T)
+    moving = (strength > 0.5 * np.quantile(strength, 0.95))[:, None]
+    ends = np.array([[1, 1], [across.min(), across.max()]])
+    more = ("projector amplitude", "projector defocus", "camera defocus", "even crosstalk")
+    lens, motion = ("lateral colour of the camera",), ("motion between colour fields",)
+    to = "R {:+.2f} to {:+.2f} px, B {:+.2f} to {:+.2f} px of G across the picture"
+
+    def lost(n: FloatArray) -> str:
+        parts = zip(CHANNELS, np.expm1(np.array([n[0], 0, n[1]]) - max(0, *n)), strict=True)
+        return "contrasts against the best channel: " + ", ".join(f"{name} {100 * part:+.0f} %" for name, part in parts)
+
+    def speed(n: FloatArray, times: Any = 1) -> str:
+        return f"{abs(n[0]) * np.median(times):.3f} rad a field"
+
+    table = [Explanation((), np.empty((0, 1, 3)), lambda n: "", "")]
+    for own, name in zip(np.eye(3), CHANNELS, strict=True):
+        table += _one_contrast(tiles, own, name)
+    return [
+        *table,
+        _black_level(tiles, np.ones(3), "all channels"),
+        Explanation(more, two, lost, _COLORS),
+        Explanation(lens, 1j * f * two, lambda n: "R {:+.2f} px, B {:+.2f} px of G".format(*-n), _AT_REST),
+        Explanation(
+            lens,
+            1j * f * np.concatenate([two + 0 * across, across * two]),
+            lambda n: to.format(*(-n.reshape(2, 2).T @ ends).ravel()),
+            _AT_REST,
+        ),
+        Explanation(
+            ("lateral colour of the projector",),
+            1j * two,
+            lambda n: "R {:+.3f} rad, B {:+.3f} rad from G".format(*n),
+            _AT_REST,
+        ),
+        # One speed: from red to green as from green to blue.
+        Explanation(motion, fields, speed, _AT_REST, 1),
+        Explanation(motion, f * fields, lambda n: speed(n, f), _AT_REST, 1),
+        Explanation(motion, np.stack([f, f * across]) * fields, lambda n: speed(n, f), _AT_REST, 2),
+        Explanation(motion, 1j * moving * two, lambda n: f"{speed(n)} in a part of the picture", _AT_REST, 4),
+        Explanation(("crosstalk",), np.concatenate([two, 1j * two]), lambda n: "", _MATRIX),
+    ]
+
+
+def _black_level(tiles: Tiles, own: FloatArray, name: str) -> Explanation:
+    """Return the row of light that is added to some channels (3,): it weighs most where it is dark."""
+    size = "{:+.3f} of full scale added to " + name
+    return Explanation(
+        ("black level", "coloured ambient light"), -own / tiles.mean[None], lambda n: size.format(*n), _BLACK
+    )
+
+
+def _one_contrast(tiles: Tiles, own: FloatArray, name: str) -> list[Explanation]:
+    """Return the rows of what changes the contrast of one channel (3,)."""
+    causes = ("projector amplitude", "projector defocus", "even crosstalk", "coloured ambient light")
+
+    def percent(n: FloatArray) -> str:
+        return f"{name}'s modulation {100 * np.expm1(n[0]):+.1f} %"
+
+    def blurred(n: FloatArray) -> str:  # a channel that is sharper than the others shows that they are blurred
+        return f"{name if n[0] < 0 else CHANNELS.replace(name, '')} blurred by {np.sqrt(abs(n[0])):.2f} px"
+
+    return [
+        Explanation(causes, own[None, None], percent, _BLACK),
+        _black_level(tiles, own, name),
+        Explanation(("camera defocus",), (tiles.frequency[:, None] ** 2 / 2 * own)[None], blurred, _BLACK),
+    ]
+
+
+def _evidence(change: npt.NDArray[Any], count: int) -> FloatArray:
+    """Return what of changes (..., T or 1, 3) makes a ripple, (..., 6 T): not what all channels have in common."""
+    change = np.broadcast_to(change, (*change.shape[:-2], count, 3))
+    change = change - change.mean(axis=-1, keepdims=True)
+    return np.concatenate([change.real, change.imag], axis=-1).reshape(*change.shape[:-2], 6 * count)
+
+
 def explain_fundamental(
     tiles: Tiles, expected: npt.NDArray[np.complex128], matrix: FloatArray, limit: float
 ) -> list[RippleFinding]:
-    """Name what makes the channels' contrasts or phases differ from the fundamentals (T, 3) that are expected."""
+    """Name what makes the channels' contrasts or phases differ from the fundamentals (T, 3) that are expected.
+
+    The row of the table is taken that fits best, with those that fit as well, and then of what it leaves, until that
+    makes no ripple.
+    """
     most_contrast = np.median(abs(expected @ np.linalg.inv(matrix).T))
     expected = expected / most_contrast
     relative = tiles.spectrum[..., 0] / expected
-    loss = -np.log(abs(relative))  # (T, 3) of contrast; what is common to the channels makes no ripple
-    lag = np.angle(relative * np.conj(relative[:, 1:2]))[:, ::2]  # (T, 2) of R and B against G, rad
-    losses = robust_fit(loss - loss.mean(axis=1, keepdims=True), tiles.weight)
-    lags = robust_fit(lag, tiles.weight)
-    mean_loss, mean_lag = losses.value[0], lags.value[0]
-    scale = np.median(abs(relative))
-
-    def ripple_of(change: Any) -> dict[int, float]:
-        return ripple_by_harmonic(waves_of_spectrum((scale * ideal(matrix) * change)[:, None]), matrix)
-
-    def ripple_of_lag(lags: Any) -> dict[int, float]:
-        return ripple_of(np.exp(1j * np.array([lags[0], 0, lags[1]])))
-
-    by_loss, by_lag = ripple_of(np.exp(-mean_loss)), ripple_of_lag(mean_lag)
-    worst_loss, worst_lag = max(by_loss.values()), max(by_lag.values())
-    lossy = worst_loss > max(limit, SIGMAS / 3 * losses.error.max(), _LEAKAGE * worst_lag)
-    lagging = worst_lag > max(limit, SIGMAS / 2 * lags.error.max(), _LEAKAGE * worst_loss)
-    if lossy and lagging:
-        crosstalk = explain_both(scale / most_contrast, expected.mean(axis=0), mean_loss, mean_lag, ripple_of)
-        if crosstalk:
-            # It is the same everywhere, so that what is left in a part of the picture is something else.
-            rest = lag - np.median(lag, axis=0)
-            return [
-                crosstalk,
-                *explain_part(tiles, rest, max(limit, _LEAKAGE * max(worst_loss, worst_lag)), ripple_of_lag),
-            ]
-    findings = [explain_loss(tiles, loss, mean_loss, by_loss, limit)] if lossy else []
-    if lagging:
-        # Of more than the mean it is what changes over the picture that is to be explained.
-        part = explain_part(tiles, lag - np.median(lag, axis=0), worst_lag, ripple_of_lag)
-        if part:
-            return findings + part
-        return [*findings, explain_lag(tiles, lag, neighbours_median(lag, tiles.place), by_lag)]
-    return findings + explain_part(tiles, lag, max(limit, _LEAKAGE * worst_loss), ripple_of_lag)
+    scale, count = np.median(abs(relative)), len(relative)
+    evidence = _evidence(np.log(abs(relative)) + 1j * np.angle(relative * np.conj(relative[:, 1:2])), count)
+    findings: list[RippleFinding] = []
+    while True:
+        phases = evidence.reshape(count, 2, 3)[:, 1]
+        table = explanations(tiles, phases[:, ::2] - phases[:, 1:2])
+        fits = [robust_fit(evidence, np.repeat(tiles.weight, 6), _evidence(row.shapes, count).T) for row in table]
+        changes = [np.tensordot(fit.value, row.shapes, 1) for fit, row in zip(fits, table, strict=True)]
+        leaks = least_crosstalk(expected.mean(axis=0) * np.exp(changes[-1][0]), scale / most_contrast)
+        if leaks is None:  # no matrix makes this change
+            table, fits = table[:-1], fits[:-1]
+        penalty = [2 * (len(row.shapes) + row.chosen) * np.log(count) for row in table]
+        possible, confidence = decide([fit.squares for fit in fits], count, penalty)
+        best, causes = possible[0], dict.fromkeys(cause for k in possible for cause in table[k].causes)
+        explained = _evidence(changes[best], count)
+        strong = np.argsort(np.linalg.norm(explained.reshape(count, 6), axis=1))[int(0.95 * count)]
+        wave = scale * ideal(matrix) * np.exp(np.broadcast_to(changes[best], (count, 3))[strong])
+        ripple_rad = ripple_by_harmonic(waves_of_spectrum(wave[:, None]), matrix)
+        # What was chosen for being large has twice the noise.
+        least = 2 * limit if table[best].chosen else limit
+        if not all(table[k].causes for k in possible) or max(ripple_rad.values()) < least:
+            return findings
+        size = " or ".join(table[k].words(fits[k].value) or str(leaks) for k in possible)
+        findings.append(RippleFinding(tuple(causes), size, ripple_rad, confidence, table[best].advice))
+        limit, evidence = max(limit, _LEAKAGE * max(ripple_rad.values())), evidence - explained
 
 
-def explain_part(
-    tiles: Tiles, lag: FloatArray, limit: float, ripple_of_lag: Callable[[Any], dict[int, float]]
-) -> list[RippleFinding]:
-    """Explain phases that are right in the mean: by motion in a part of the picture, or by lateral colour.
+def least_crosstalk(seen: npt.NDArray[np.complex128], contrast: float) -> str | None:
+    """Return the least crosstalk that makes fundamentals (3,) of a pattern of full contrast, None: none does.
 
-    A lens's lateral colour changes sign over the picture. The medians of neighbouring tiles show either.
+    Ambient light shrinks all three alike, and a common phase turns them, both unknown.
     """
-    local = neighbours_median(lag, tiles.place)
-    strength = np.hypot(*local.T)
-    size = ripple_of_lag(local[np.argsort(strength)[int(0.95 * len(strength))]])
-    # What is chosen for being large has twice the noise.
-    return [explain_lag(tiles, lag, local, size)] if max(size.values()) > 2 * limit else []
-
-
-def explain_loss(
-    tiles: Tiles, loss: FloatArray, mean_loss: FloatArray, size: dict[int, float], limit: float
-) -> RippleFinding:
-    """Explain contrasts alone: of one channel, by how it changes over the image, or of several channels."""
-    others = np.array([[1, 2], [0, 2], [0, 1]])
-    disagreement = abs(mean_loss[others[:, 0]] - mean_loss[others[:, 1]])
-    channel = int(np.argmin(disagreement))
-    two = others[channel]
-    if disagreement[channel] > max(3 * limit, _LEAKAGE * np.ptp(mean_loss)):
-        return explain_losses(tiles, loss, mean_loss, size)
-    # 1 / contrast = mean / amplitude: what is added to the mean weighs most where the amplitude is small.
-    excess = np.exp(loss[:, channel] - loss[:, two].mean(axis=1)) - 1
-    true_mean = tiles.mean[:, channel] * np.exp(loss[:, two].mean(axis=1) - loss[:, channel])
-    shapes = {
-        "contrast": np.ones_like(excess),  # projector amplitude, projector defocus, even leak
-        "offset": 1 / true_mean,  # black level; ambient light too where the surface's colour is the same everywhere
-        "camera blur": tiles.frequency**2 / 2,  # 1 / exp(-sigma**2 f**2 / 2)
-    }
-    fits = {name: robust_fit(excess, tiles.weight, shape[:, None]) for name, shape in shapes.items()}
-    possible, confidence = decide({name: fit.squares for name, fit in fits.items()}, len(excess) / OVERLAP**2)
-    more = mean_loss[channel] < 0  # more contrast than the others have: then those two are blurred, as by demosaicing
-    blurred = "".join(CHANNELS[j] for j in two) if more else CHANNELS[channel]
-    causes, sizes = [], []
-    if "contrast" in possible:
-        causes += ["projector amplitude", "projector defocus"] + (
-            [] if more else ["even crosstalk", "coloured ambient light"]
-        )
-        sizes.append(f"{CHANNELS[channel]}'s modulation {100 * (1 / (1 + fits['contrast'].value[0]) - 1):+.1f} %")
-    if "camera blur" in possible:
-        causes.append("camera defocus")
-        sizes.append(f"{blurred} blurred by {np.sqrt(abs(fits['camera blur'].value[0])):.2f} px")
-    if "offset" in possible:
-        causes += [name for name in ("black level", "coloured ambient light") if name not in causes]
-        sizes.append(f"{fits['offset'].value[0]:+.3f} of full scale added to {CHANNELS[channel]}")
-    return RippleFinding(
-        tuple(causes),
-        " or ".join(sizes),
-        size,
-        confidence,
-        "subtract a frame of black from the same projector; if the ripple stays, refocus or calibrate the crosstalk",
-    )
-
-
-def explain_losses(tiles: Tiles, loss: FloatArray, mean_loss: FloatArray, size: dict[int, float]) -> RippleFinding:
-    """Explain contrasts of several channels: by a black level that they share, or each by itself."""
-    inverse = np.exp(loss)  # of the contrast: 1 + black / mean where that alone is wrong
-    true_mean = tiles.mean / inverse
-    excess = inverse - inverse.mean(axis=1, keepdims=True)
-    shape = 1 / true_mean - np.mean(1 / true_mean, axis=1, keepdims=True)
-    level = robust_fit(excess.ravel(), np.repeat(tiles.weight, 3), shape.reshape(-1, 1))
-    each = robust_fit(excess, tiles.weight)
-    possible, confidence = decide({"level": level.squares, "each": each.squares}, 2 * len(excess) / OVERLAP**2)
-    text = ", ".join(
-        f"{c} {100 * (np.exp(-m) - 1):+.0f} %" for c, m in zip(CHANNELS, mean_loss - mean_loss.min(), strict=True)
-    )
-    causes, sizes = [], []
-    if "level" in possible:
-        causes += ["black level", "coloured ambient light"]
-        sizes.append(f"{level.value[0]:+.3f} of full scale added to all channels")
-    if "each" in possible:
-        causes += ["projector amplitude", "projector defocus", "camera defocus", "even crosstalk"]
-        sizes.append(f"contrasts against the best channel: {text}")
-    return RippleFinding(
-        tuple(causes),
-        " or ".join(sizes),
-        size,
-        0.8 * confidence,
-        "subtract a frame of black from the same projector; then calibrate the crosstalk with each colour alone",
-    )
-
-
-def explain_lag(tiles: Tiles, lag: FloatArray, local: FloatArray, size: dict[int, float]) -> RippleFinding:
-    """Explain phases alone, by how they change over the image."""
-    strength = np.hypot(*local.T)
-    moving = strength > 0.5 * np.quantile(strength, 0.95)
-    one, f = np.ones_like(tiles.frequency), tiles.frequency
-    shapes = {
-        "constant": one[:, None],  # the projector's lens; motion of everything
-        "shift": f[:, None],  # the camera's lens
-        "magnification": np.stack([f, f * tiles.across], axis=1),
-        "part": np.where(moving, one, 0.0)[:, None],  # the rest stands still
-    }
-    fits = {name: robust_fit(lag, tiles.weight, shape) for name, shape in shapes.items()}
-    # Two channels a parameter; which tiles move was chosen from the data, and costs as much as two parameters.
-    parameters = {"constant": 1, "shift": 1, "magnification": 2, "part": 3}
-    count = lag.size / OVERLAP**2
-    penalty = {name: 2 * n * np.log(count) for name, n in parameters.items()}
-    possible, confidence = decide({name: fit.squares for name, fit in fits.items()}, count, penalty)
-    lags = np.median(lag[moving], axis=0)
-    steady = abs(lags.sum()) < 0.2 * np.ptp(lags) and lags[0] * lags[1] < 0  # R to G as G to B: one speed
-    possible = {name for name in possible if np.any(abs(fits[name].value) > SIGMAS * fits[name].error)}
-    causes, sizes = [], []
-    if possible & {"shift", "magnification"}:
-        causes.append("lateral colour of the camera")
-        if "shift" in possible:
-            sizes.append("R {:+.2f} px, B {:+.2f} px of G".format(*-fits["shift"].value[0]))
-        else:
-            r, b = (-fits["magnification"].value.T @ [[1, 1], [tiles.across.min(), tiles.across.max()]]).tolist()
-            sizes.append("R {:+.2f} to {:+.2f} px, B {:+.2f} to {:+.2f} px of G across the picture".format(*r, *b))
-    if "constant" in possible:
-        causes.append("lateral colour of the projector")
-        sizes.append("R {:+.3f} rad, B {:+.3f} rad from G".format(*fits["constant"].value[0]))
-    if steady or "part" in possible or not possible:
-        causes.append("motion between colour fields")
-        sizes.append(
-            f"{np.ptp(lags) / 2:.3f} rad a field" + (" in a part of the picture" if possible <= {"part"} else "")
-        )
-    return RippleFinding(
-        tuple(causes),
-        " or ".join(sizes),
-        size,
-        confidence if possible else 0.5,
-        "photograph the scene at rest: if it stays, calibrate the lateral colour; if not, show all colours at once",
-    )
-
-
-def explain_both(
-    contrast: float,
-    expected: npt.NDArray[np.complex128],
-    loss: FloatArray,
-    lag: FloatArray,
-    ripple_of: Callable[[Any], dict[int, float]],
-) -> RippleFinding | None:
-    """Explain contrasts and phases together by crosstalk, if a matrix without negative entries can make them.
-
-    A row of it, its sum one, puts a channel's fundamental into the triangle of exp(i d_k), its entries the barycentric
-    coordinates. Ambient light shrinks all three towards the centre and a common phase turns them, both unknown: so
-    the least crosstalk is found, at the largest scale at which all three are inside.
-    """
-    change = np.exp(-loss + 1j * np.array([lag[0], 0, lag[1]]))
-    seen = expected * change
-    corners = np.exp(1j * PHASES)
-    solve = np.linalg.inv(np.stack([np.ones(3), corners.real, corners.imag]))
-    best_scale, best = 0.0, np.eye(3)
-    for turn in np.linspace(-_MAX_TURN_RAD, _MAX_TURN_RAD, _TURNS):
-        turned = seen * np.exp(1j * turn)
-        rise = (solve @ np.stack([np.zeros(3), turned.real, turned.imag])).T  # entries are 1/3 + scale * rise
-        scale = np.min(-1 / 3 / np.minimum(rise, -1e-9))
-        if scale > best_scale:
-            best_scale, best = scale, 1 / 3 + scale * rise
-    # No contrast is above the pattern's own: what lies outside even then, no leak can have made.
-    if contrast > 1.02 * best_scale:
+    turned = seen * np.exp(-1j * np.angle(seen @ np.exp(-1j * PHASES)))
+    # No contrast is above the pattern's own: leaks that are negative even then, no light has made.
+    if (1 + 2 * contrast * (turned[:, None] * np.exp(-1j * PHASES)).real).min() < -3 * _LEAST_LEAK:
         return None
-    rows = "; ".join(" ".join(f"{entry:.2f}" for entry in row) for row in best)
-    return RippleFinding(
-        ("crosstalk",),
-        f"at least [{rows}], rows' sums one",
-        ripple_of(change),
-        0.9,
-        "calibrate the crosstalk with three single-colour frames; 4:2:0 video looks like this too",
-    )
+    rows = "; ".join(" ".join(f"{abs(entry):.2f}" for entry in row) for row in smallest_leaks(turned))
+    return f"at least [{rows}], rows' sums one"
 
 
-def decide(squares: dict[str, float], count: float, penalty: dict[str, float] | None = None) -> tuple[set[str], float]:
-    """Return the explanations that fit as well as the best, and how surely the rest do not.
+def decide(squares: Sequence[float], count: float, penalty: Sequence[float]) -> tuple[list[int], float]:
+    """Return which explanations fit as well as the best, the best first, and how surely the others do not.
 
     squares holds each one's sum of squares, penalty what its parameters cost.
     """
-    best = min(squares.values())
-    chi = {name: count * (value / best - 1) + (penalty[name] if penalty else 0.0) for name, value in squares.items()}
-    least = min(chi.values())
-    possible = {name for name, value in chi.items() if value < least + DECISIVE}
-    beaten = [value - least for name, value in chi.items() if name not in possible]
-    return possible, 0.99 if not beaten else float(1 - 0.5 * np.exp(-min(beaten) / 2))
+    chi = count * (np.array(squares) / min(squares) - 1) + np.array(penalty)
+    chi -= chi.min()
+    possible = [int(k) for k in np.argsort(chi) if chi[k] < DECISIVE]
+    return possible, float(1 - 0.5 * np.exp(-np.min(chi[chi >= DECISIVE], initial=10) / 2))

@@ -15,7 +15,7 @@ from pipeline.output.background import object_vertices, wall_vertices
 from pipeline.output.mesh import Mesh
 from pipeline.output.pictures.picture_overlay import Colormap, ColorScale
 from pipeline.output.pictures.viewpoint import CLAY
-from pipeline.robust import robust_sigma
+from pipeline.robust import fit_plane, fit_sphere
 
 Floats = npt.NDArray[np.float32]
 Points = npt.NDArray[np.floating]
@@ -25,9 +25,6 @@ Colors = Literal["clay", "depth", "sigma", "texture", "modulation", "plane", "sp
 
 #: Colours that are of a length, and so need a calibration.
 IN_MM = ("plane", "sphere")
-
-# Fits, each of what lies within three standard deviations of the one before.
-_FITS, _WITHIN = 8, 3.0
 
 
 class SurfaceColors:
@@ -146,13 +143,8 @@ def plane_deviation(points: Points, shown: Points) -> npt.NDArray[np.float32]:
     RenderError
         Fewer than 3 points.
     """
-    near = _enough(points, 3, "a plane")
-    for _ in range(_FITS):
-        middle = near.mean(axis=0)
-        normal = np.linalg.eigh(np.cov((near - middle).T))[1][:, 0]
-        normal *= -1 if normal[2] > 0 else 1
-        near = _within(points, (points - middle) @ normal)
-    return np.asarray((shown - middle) @ normal, np.float32)
+    middle, normal = fit_plane(_enough(points, 3, "a plane"))
+    return np.asarray((shown - middle) @ (-normal if normal[2] > 0 else normal), np.float32)
 
 
 def sphere_deviation(points: Points, shown: Points) -> npt.NDArray[np.float32]:
@@ -170,30 +162,17 @@ def sphere_deviation(points: Points, shown: Points) -> npt.NDArray[np.float32]:
     RenderError
         Fewer than 4 points, or they are flat.
     """
-    near = _enough(points, 4, "a sphere")
-    for _ in range(_FITS):
-        start = near.mean(axis=0)
-        around = near - start
-        # |p|^2 = 2 p c + (r^2 - |c|^2) is linear in the centre c.
-        rows = np.column_stack([2 * around, np.ones(len(around))])
-        solution, _, rank, _ = np.linalg.lstsq(rows, (around**2).sum(axis=1), rcond=1e-9)
-        if rank < 4:
-            raise RenderError("a sphere cannot be fitted: the surface is flat, use the colours of a plane")
-        middle = start + solution[:3]
-        radius = np.sqrt(solution[3] + solution[:3] @ solution[:3])
-        near = _within(points, np.linalg.norm(points - middle, axis=1) - radius)
-    return np.asarray(np.linalg.norm(shown - middle, axis=1) - radius, np.float32)
+    sphere = fit_sphere(_enough(points, 4, "a sphere"))
+    if sphere is None:
+        raise RenderError("a sphere cannot be fitted: the surface is flat, use the colours of a plane")
+    centre, radius = sphere
+    return np.asarray(np.linalg.norm(shown - centre, axis=1) - radius, np.float32)
 
 
-def _enough(points: Points, least: int, what: str) -> Points:
+def _enough(points: Points, least: int, what: str) -> npt.NDArray[np.float64]:
     if len(points) < least:
         raise RenderError(f"{what} cannot be fitted to {len(points)} points: use other colours")
     return points.astype(np.float64)
-
-
-def _within(points: Points, residuals: Points) -> Points:
-    near = np.abs(residuals) <= max(_WITHIN * robust_sigma(residuals.astype(np.float64)), 1e-9)
-    return np.asarray(points[near], np.float64)
 
 
 def check_boxes(points: Floats, others: Floats) -> str | None:

@@ -8,8 +8,8 @@ from pipeline.contrast_code import CYCLES
 from pipeline.diagnosis.channel_spectra import (
     LINEAR,
     PHASES,
-    ExpectedLight,
     KnownLight,
+    expected_light,
     fit_tiles,
     mean_spectrum,
     neighbours_median,
@@ -34,7 +34,7 @@ def test_it_is_the_pattern_through_response_and_crosstalk(code):
     pattern = Pattern(period_px=16.0, code=code)
     codes = make_pattern((4, 768), pattern)[:, 0].astype(np.float64)
     known = KnownLight(MIXING, (SQUARE, LINEAR), None, code)
-    seen = ExpectedLight(known, coded=code is not None).at(2 * np.pi * np.arange(768) / 16.0)
+    seen = expected_light(known, coded=code is not None)(2 * np.pi * np.arange(768) / 16.0)
     parts = MIXING / MIXING.sum(axis=1, keepdims=True)
     np.testing.assert_allclose(seen[..., 0], codes**2 @ parts.T, atol=2e-3)
     np.testing.assert_allclose(seen[..., 1], codes @ parts.T, atol=2e-3)
@@ -43,14 +43,14 @@ def test_it_is_the_pattern_through_response_and_crosstalk(code):
 def test_of_many_cells_it_is_the_mean():
     codes = make_pattern((120, 16 * CYCLES), Pattern(period_px=16, code="contrast2", cell_px=8))
     known = KnownLight(code="contrast2")
-    seen = ExpectedLight(known, coded=True).at(2 * np.pi * np.arange(16) / 16.0)[..., 0]
+    seen = expected_light(known, coded=True)(2 * np.pi * np.arange(16) / 16.0)[..., 0]
     np.testing.assert_allclose(seen, codes.reshape(CYCLES, 16, 120, 3).mean(axis=(0, 2)), atol=2e-3)
 
 
 def test_a_lag_delays_its_channel():
     lag = np.array([0.2, 0.0, -0.1])
     phase = np.linspace(0, 40, 200)
-    seen = ExpectedLight(KnownLight(lag_rad=lag), coded=False).at(phase)[..., 0]
+    seen = expected_light(KnownLight(lag_rad=lag), coded=False)(phase)[..., 0]
     np.testing.assert_allclose(seen, 0.5 + 0.5 * np.cos(phase[:, None] + PHASES - lag), atol=1e-3)
 
 

@@ -3,13 +3,20 @@
 import numpy as np
 import pytest
 
-from pipeline.diagnosis.channel_spectra import LINEAR, PHASES, ExpectedLight, KnownLight, Tiles, fit_tiles
+from pipeline.diagnosis.channel_spectra import (
+    LINEAR,
+    PHASES,
+    KnownLight,
+    Tiles,
+    expected_light,
+    fit_tiles,
+    mean_spectrum,
+)
 from pipeline.diagnosis.ripple_causes import (
     decide,
     explain_fundamental,
     explain_harmonics,
     ideal,
-    known_harmonics,
     left_by_mixing,
     own_harmonics,
 )
@@ -36,7 +43,7 @@ def frame(gamma=1.0, matrix=None):
 
 
 def tiles_of(light, phase, known=LINEAR):
-    expected = ExpectedLight(KnownLight(responses=(known,)), coded=False)
+    expected = expected_light(KnownLight(responses=(known,)), coded=False)
     return fit_tiles(light, phase, np.ones(phase.shape, bool), PERIOD_PX, None, expected)
 
 
@@ -50,22 +57,27 @@ def test_a_power_law_has_the_harmonics_of_the_binomial_series(gamma):
     np.testing.assert_allclose(harmonics[:, 1], third, atol=2e-3)
 
 
+def spectra_of(tiles):
+    """Return what the channels show, (3, K), and the light that is expected, (R, 3, K)."""
+    return mean_spectrum(tiles), np.moveaxis(tiles.expected, -1, 0).mean(axis=1)
+
+
 def test_a_blur_takes_harmonics_by_their_squares():
     """exp(-s (k**2 - 1)) is left of the k-th over the fundamental: of the second, a fifth less here."""
-    tiles = tiles_of(*frame(gamma=2.0), power_law(2.0))
-    sharp = own_harmonics(tiles.expected[..., 0], tiles.weight, np.eye(3)).value[0]
-    orders = np.arange(2, sharp.shape[1] + 2)
-    blurred = sharp * np.exp(-np.log(1.25) / 3 * (orders**2 - 1))
-    assert abs(known_harmonics(tiles, blurred, np.eye(3), PERIOD_PX).harmonics - blurred).max() < 4e-3
-    assert abs(known_harmonics(tiles, 1.5 * sharp, np.eye(3), PERIOD_PX).harmonics - 1.5 * sharp).max() > 0.1
+    _, lights = spectra_of(tiles_of(*frame(), power_law(2.0)))
+    orders = np.arange(1, lights.shape[-1] + 1)
+    blurred = lights[0] * np.exp(-np.log(1.25) / 3 * (orders**2 - 1))
+    assert abs(left_by_mixing(blurred, lights, PERIOD_PX)[0]).max() < 4e-3
+    assert abs(left_by_mixing(lights[0] * np.where(orders > 1, 1.5, 1), lights, PERIOD_PX)[0]).max() > 0.1
 
 
 def test_harmonics_that_a_crosstalk_mixes_are_left_by_none():
-    """Those of a response that is not the known one are."""
-    mixed = tiles_of(*frame(gamma=2.0, matrix=MIXING), power_law(2.0))
-    assert abs(left_by_mixing(mixed, np.eye(3), 0, PERIOD_PX)).max() < 5e-3
-    other = tiles_of(*frame(gamma=2.0, matrix=MIXING), power_law(1.2))
-    assert abs(left_by_mixing(other, np.eye(3), 0, PERIOD_PX)).max() > 0.05
+    """Those of a response that is not the known one are; of several, the one is found that makes them."""
+    mixed, known = spectra_of(tiles_of(*frame(gamma=2.0, matrix=MIXING), power_law(2.0)))
+    assert abs(left_by_mixing(mixed, known, PERIOD_PX)[0]).max() < 5e-3
+    _, other = spectra_of(tiles_of(*frame(), power_law(1.2)))
+    assert abs(left_by_mixing(mixed, other, PERIOD_PX)[0]).max() > 0.05
+    assert left_by_mixing(mixed, np.concatenate([other, known]), PERIOD_PX)[1] == 1
 
 
 def explained(gamma=1.0, transfer=False, known=LINEAR, matrix=None):
@@ -121,7 +133,8 @@ def tiles_with(fundamental, frequency=0.5):
     rng = np.random.default_rng(3)
     place = np.argwhere(np.ones((12, 16)))
     count = len(place)
-    spectrum = np.broadcast_to(fundamental, (count, 3)) * (1 + 1e-3 * rng.standard_normal((count, 3)))
+    noise = 1e-3 * rng.standard_normal((2, count, 3))
+    spectrum = np.broadcast_to(fundamental, (count, 3)) * (1 + noise[0] + 1j * noise[1])
     mean = np.broadcast_to([0.3, 0.4, 0.5], (count, 3)) + 0.1 * rng.random((count, 1))
     across = (place[:, 0] - 5.5) / 10
     frequency = frequency * (1 + 0.2 * rng.random(count))
@@ -169,8 +182,30 @@ def test_what_moves_in_a_part_is_found_beside_crosstalk():
 
 
 def test_what_fits_as_well_as_the_best_stays_possible():
-    possible, confidence = decide({"this": 1.0, "that": 1.01, "no": 2.0}, count=100.0)
-    assert possible == {"this", "that"} and confidence > 0.99
-    assert decide({"this": 1.0, "that": 1.01}, 100.0) == ({"this", "that"}, 0.99)
-    possible, _ = decide({"this": 1.0, "that": 1.01}, 100.0, {"this": 20.0, "that": 0.0})
-    assert possible == {"that"}
+    possible, confidence = decide([1.01, 1.0, 2.0], 100.0, [0.0, 0.0, 0.0])
+    assert possible == [1, 0] and confidence > 0.99
+    assert decide([1.0, 1.01], 100.0, [20.0, 0.0])[0] == [1]
+
+
+def test_a_black_level_weighs_most_where_it_is_dark():
+    """To first order: its size is found to a fifth, though it is up to a third of the light there."""
+    tiles = tiles_with(0.5 * ideal(np.eye(3)))
+    light = np.geomspace(0.1, 0.6, len(tiles.mean))[:, None] * np.ones(3)
+    level = np.array([0.05, 0, 0])
+    spectrum = tiles.spectrum * (light / (light + level))[..., None]
+    tiles = tiles._replace(mean=light + level, spectrum=spectrum)
+    (finding,) = explain_fundamental(tiles, np.broadcast_to(ideal(np.eye(3)), light.shape), np.eye(3), 0.005)
+    assert finding.causes == ("black level", "coloured ambient light")
+    assert finding.size.endswith("of full scale added to R")
+    assert float(finding.size.split()[0]) == pytest.approx(0.05, rel=0.2)
+
+
+@pytest.mark.parametrize("shift_px", [0.1, 0.5])
+def test_a_lens_shifts_by_pixels_and_not_by_phases(shift_px):
+    """The finer the fringe, the more of a cycle; red and blue to opposite sides may have moved in between as well."""
+    tiles = tiles_with(0.5 * ideal(np.eye(3)), frequency=np.linspace(0.3, 0.7, 192))
+    lag = shift_px * tiles.frequency[:, None] * np.array([1, 0, -1])
+    tiles = tiles._replace(spectrum=tiles.spectrum * np.exp(1j * lag)[..., None])
+    (finding,) = explain_fundamental(tiles, np.broadcast_to(ideal(np.eye(3)), lag.shape), np.eye(3), 0.005)
+    assert set(finding.causes) == {"lateral colour of the camera", "motion between colour fields"}
+    assert f"R {-shift_px:+.2f} px, B {shift_px:+.2f} px of G" in finding.size
