@@ -108,14 +108,13 @@ def mark_hidden_steps_kernel(
         seams[Seam.RIGHT, cell] = to_right
         seams[Seam.BELOW, cell] = (CELL_HEIGHT // CELL_WIDTH) * below
     for cell in range(seams.shape[1]):
-        most = seam_around(seams, columns, cell)
+        row, column, rows, most = cell // columns, cell % columns, seams.shape[1] // columns, 0
         # At the image's border the side that would tell may be missing, and the step goes on from the next cell.
-        column, rows = cell % columns, seams.shape[1] // columns
-        if cell < columns or cell >= columns * (rows - 1):
-            most = ti.max(most, seam_around(seams, columns, cell - ti.min(column, 1)))
-            most = ti.max(most, seam_around(seams, columns, cell + ti.min(columns - 1 - column, 1)))
-        if column == 0 or column == columns - 1:
-            most = ti.max(most, seam_around(seams, columns, ti.max(cell - columns, column)))
-            most = ti.max(most, seam_around(seams, columns, ti.min(cell + columns, columns * (rows - 1) + column)))
+        for k in range(5):
+            down, right = ti.cast(k == 1, i32) - ti.cast(k == 2, i32), ti.cast(k == 3, i32) - ti.cast(k == 4, i32)
+            at_border = ti.select(down != 0, column == 0 or column == columns - 1, row == 0 or row == rows - 1)
+            y, x = row + down, column + right
+            if (k == 0 or at_border) and y >= 0 and y < rows and x >= 0 and x < columns:
+                most = ti.max(most, seam_around(seams, columns, y * columns + x))
         if most >= MIN_SEAM_PX:
             final[Final.STEPS, cell] = HIDES_STEP
