@@ -1,4 +1,4 @@
-"""The model of a rig's light: what settings, calibration and an earlier frame tell, and the fit to one frame.
+"""The model of a rig's light: priors from settings, calibration and an earlier frame, and the fit to one frame.
 
 The light goes from the pattern's codes through the projector's response, the crosstalk and the surface's colour to the
 camera's levels. What is known of each is a prior, and the frame has the last word.
@@ -40,8 +40,8 @@ from tikernels.raw.linearization import Transfer
 # How far a pixel's contrast may be from what its neighbourhood shows: it hardly changes within a surface, but a code
 # changes it from cycle to cycle, and a fit to a constant one would bend the phase by 0.02 rad.
 _PLAIN_DOUBT, _CODED_DOUBT = 0.02, 0.08
-# By how much of its row an entry of a surface's matrix may be off: calibrated, and told by the frame; and what leaks at
-# the least through real filters, where the frame has told the crosstalk with the smallest leaks that fit.
+# Standard error of an entry of a surface's matrix, as a share of its row: calibrated, and estimated from the frame; and
+# the least leak of real filters, where the estimate is the crosstalk with the smallest leaks that fit.
 _LEAK, _UNKNOWN_LEAK, _USUAL_LEAK = 0.004, 0.01, 0.03
 # So may a harmonic of the light: where the response is known, but for contrast and blur, and where it is not; and the
 # contrast apart from what blur takes: one that is 0.08 off changes the fitted ambient light by a third.
@@ -52,24 +52,24 @@ _Singles = npt.NDArray[np.float32]
 
 
 class FittedLight(NamedTuple):
-    """What a frame says of its light; the channels' model is in the `ChannelModel` that was fitted."""
+    """The light of one frame; the channels' model is in the `ChannelModel` that was fitted."""
 
     crosstalk: Crosstalk
     """With the surfaces that were found."""
     correction: _Singles
     """(bins + 1,) rad to add to the arctangent, over the cycle."""
     surfaces: FoundSurfaces | OnlyColor | None
-    """What the surfaces' colours make of the crosstalk; None: nothing beyond what the balance undoes."""
+    """Surfaces whose colours change the crosstalk; None: the balance alone undoes what they do."""
     odd: NoModelFits | None
     """Surfaces that no matrix explains."""
     mismatch: float
-    """How far the channels' fundamentals are from what the crosstalk makes of them, as a fraction."""
+    """Distance of the channels' fundamentals from the crosstalk's prediction, as a fraction."""
     constant_sigma: float
     """Standard deviation of the constant of all phases, rad."""
 
 
 class LightModel:
-    """What is known of a rig's light, which each frame's is fitted with.
+    """The priors of a rig's light, with which the light of each frame is fitted.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ class LightModel:
     constant_known : bool
         Whether the constant of all phases is known.
     unknown : bool
-        Whether nothing is known of the light, so that a frame is to tell it.
+        Whether nothing is known of the light, so that it is estimated from the first frame with fringes.
     white : (3,) float64 or None
         What the camera's channels see of a white surface under full light, up to a factor; None: not known.
     """

@@ -43,8 +43,8 @@ _FEW = 100
 # may lie elsewhere. It is plain to see where it is likelier by so much a block.
 _SHOWN, _MOST_TRUST, _PLAIN = 6.0, 12.0, 0.25
 # A factor changes from surface to surface of a part: of parts of more blocks than this, what is left of it in so many
-# blocks and rows of patches around each is taken off, of those about as bright: of the same class of brightness and
-# those beside it, so many to a factor of two.
+# blocks and rows of patches around each is taken off, averaged over blocks of the same class of brightness and the
+# classes beside it, so many to a factor of two.
 _FLATTENED, _AROUND, _CLASSES = 100, (5, 3), 2
 # From so many cycles off its middle on a cycle is cut, and what its neighbours' levels then count, a cycle: half of
 # what they do for the contrast itself, which the levels have softened.
@@ -299,9 +299,9 @@ class CodeReader:
     def flattened(self, which: Integers, offset: int, around: tuple[int, int]) -> FloatArray:
         """Return the contrasts (n,) of a part's blocks as if its factor were the same all over.
 
-        What so many blocks and rows of patches around each that are about as bright are off the code at this offset is
-        taken off, too. That holds the share of ambient light: what a wall's shading tells of it is far off on a dark
-        paint before it.
+        The mean deviation from the code of the blocks about as bright that lie in so many blocks and rows of patches
+        around each is taken off, too. It includes the share of ambient light, which is not taken from the fit: fitted
+        to a wall's shading, it is wrong for dark paint in front.
         """
         read = self.read(which)
         terms = read.terms[:, offset - read.first, None].copy()

@@ -9,7 +9,7 @@ which of them it shows.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -35,8 +35,6 @@ from tikernels.unwrapping.patches import one_thread_is_faster
 _LEVELS, _FROM_TO = 8, (0.02, 0.98)
 # Pieces of fewer cells than the smallest windows are not asked.
 _LEAST_CELLS = 9
-# What `find_other_offsets` is told of the windows: most_columns, common and least.
-_Rule: TypeAlias = tuple[float, float, float]
 
 
 @kernel
@@ -152,6 +150,14 @@ class _Found(NamedTuple):
     gain: npt.NDArray[np.floating]
 
 
+class _Rule(NamedTuple):
+    """When a window or a piece shows another offset; see `find_other_offsets`."""
+
+    most_columns: float
+    common: float
+    least: float
+
+
 def find_other_offsets(
     evidence: OffsetEvidence,
     cells: Cells,
@@ -193,7 +199,7 @@ def find_other_offsets(
     (K,) float32
         By how much it is better, in variances.
     """
-    rule = most_columns, common, least
+    rule = _Rule(most_columns, common, least)
     scanned, pieces = _scan(evidence, cells, own, windows, rule), _pieces(evidence, cells, own, brightness, rule)
     places, gain = [*scanned.cells, *pieces.cells], np.append(scanned.gain, pieces.gain)
     taken = np.full((cells.rows, cells.columns), -1, np.int64)
@@ -208,7 +214,7 @@ def find_other_offsets(
 
 def _scan(evidence: OffsetEvidence, cells: Cells, own: int, windows: npt.NDArray[np.int32], rule: _Rule) -> _Found:
     """Lay windows everywhere."""
-    (most_columns, common, least), rows, columns = rule, cells.rows, cells.columns
+    rows, columns = cells.rows, cells.columns
     windows = np.minimum(windows, (rows, columns)).astype(np.int32)
     cell = cells.number
     sort = np.argsort(cell, kind="stable")
@@ -218,10 +224,10 @@ def _scan(evidence: OffsetEvidence, cells: Cells, own: int, windows: npt.NDArray
     weights[1:, 1:] = np.bincount(cell, evidence.weight, rows * columns).reshape(rows, columns).cumsum(0).cumsum(1)
     gain = np.empty((len(windows), rows, columns), np.float32)
     offset = np.empty(gain.shape, np.int32)
-    tables, numbers = (weights.reshape(-1, 1, 1), table), (evidence.offsets, own, common, least)
+    tables, numbers = (weights.reshape(-1, 1, 1), table), (evidence.offsets, own, rule.common, rule.least)
     scan_windows_kernel(one_thread_is_faster(len(sort)), windows, *tables, *numbers, gain, offset)
-    gain *= np.minimum(1, most_columns / windows[:, 1])[:, None, None]
-    found = np.nonzero(gain > least)
+    gain *= np.minimum(1, rule.most_columns / windows[:, 1])[:, None, None]
+    found = np.nonzero(gain > rule.least)
     high, wide = windows[found[0]].T
     places = [
         (slice(top, bottom), slice(left, right))
@@ -245,7 +251,6 @@ def _pieces(
     evidence: OffsetEvidence, cells: Cells, own: int, brightness: npt.NDArray[np.floating], rule: _Rule
 ) -> _Found:
     """Ask the pieces above and below levels of brightness. Of more than half of the cells the region has its offset."""
-    most_columns, common, least = rule
     cell, count, shape = cells.number, cells.rows * cells.columns, (cells.rows, cells.columns)
     weight = np.bincount(cell, evidence.weight, count)
     seen = weight > 0
@@ -273,11 +278,11 @@ def _pieces(
     of_pieces = np.diff(table[len(starts) + 1 :], axis=0)
     squares, departs = np.moveaxis(of_pieces, 2, 0).reshape(2, len(starts), -1)
     weights = np.add.reduceat(evidence.weight[patch], starts)[:, None]
-    remains = (squares - departs**2 / (weights + 1 / common))[:, : evidence.offsets]
+    remains = (squares - departs**2 / (weights + 1 / rule.common))[:, : evidence.offsets]
     best = remains.argmin(axis=1)
     gain = remains[:, own] - remains.min(axis=1)
-    gain *= np.minimum(1, most_columns * boxes[number, cv2.CC_STAT_HEIGHT] / size[number])
-    shown = np.flatnonzero(gain > least)
+    gain *= np.minimum(1, rule.most_columns * boxes[number, cv2.CC_STAT_HEIGHT] / size[number])
+    shown = np.flatnonzero(gain > rule.least)
     level = np.searchsorted(firsts, number[shown], side="right") - 1
     places = [found[k][1] == n - firsts[k] for k, n in zip(level, number[shown], strict=True)]
     return _Found(places, best[shown], gain[shown])
