@@ -319,7 +319,8 @@ class OrderFinder:
     ) -> CodedOrders:
         if self._columns is None and self._geometry is not None and rays is not None:
             self._columns = StripeColumns(self._geometry, runtime.to_host(rays.rays))
-        sums = measure_contrast(seen.image, seen.crosstalk, seen.gains, seen.phase, seen.modulation, patches)
+        light = (seen.image, seen.crosstalk, seen.gains)
+        sums = measure_contrast(*light, seen.phase, seen.modulation, patches, seen.period_px)
         width, code = int(seen.image.shape[1]), self.code or ContrastCode.named("contrast")
         return find_absolute_orders(
             sums, graph, code, self._columns, width=width, noise=seen.noise, order_range=order_range
