@@ -41,7 +41,7 @@ _NEVER = 1e30
 @kernel
 def weigh_offsets_kernel(
     serial: Static,  # whether one thread does it
-    block: I32Array1,  # (M,) of each share
+    block: I32Array1,  # (M,) of each share; those of a block follow each other
     patch: I32Array1,  # (M,) and the patch that holds it
     share: F32Array1,  # (M,) how much it counts
     order: I32Array1,  # (N,) of each block
@@ -56,17 +56,21 @@ def weigh_offsets_kernel(
     """Sum up by how much the blocks deviate from the code, and the squares of that."""
     ti.loop_config(serialize=serial)
     for group in range(out_sums.shape[1]):
+        last, square, depart = -1, vec16(0.0), vec16(0.0)
         for m in range(block.shape[0]):
             n = block[m]
-            square, depart = vec16(most * most), vec16(0.0)
-            first = order[n] + first_offset + group * LANES
-            for k in range(ti.max(-first, 0), ti.min(code.shape[0] - first, LANES)):
-                along = columns[n, 2] + (first + k) * columns[n, 3]
-                along = columns[n, 0] + (first + k) * (columns[n, 1] + (first + k) * along)
-                place = ti.cast((along - ti.floor(along)) * code.shape[1], ti.i32)
-                place = ti.max(ti.min(place, code.shape[1] - 1), 0)  # not a number where nothing is met
-                depart[k] = ti.max(ti.min((level[n] - code[first + k, place]) / sigma[n], most), -most)
-                square[k] = depart[k] * depart[k]
+            if n != last:
+                last, square, depart = n, vec16(most * most), vec16(0.0)
+                first, per_sigma = order[n] + first_offset + group * LANES, 1 / sigma[n]
+                for k in range(ti.max(-first, 0), ti.min(code.shape[0] - first, LANES)):
+                    place = 0
+                    if code.shape[1] > 1:
+                        along = columns[n, 2] + (first + k) * columns[n, 3]
+                        along = columns[n, 0] + (first + k) * (columns[n, 1] + (first + k) * along)
+                        place = ti.cast((along - ti.floor(along)) * code.shape[1], ti.i32)
+                        place = ti.max(ti.min(place, code.shape[1] - 1), 0)  # not a number where nothing is met
+                    depart[k] = ti.max(ti.min((level[n] - code[first + k, place]) * per_sigma, most), -most)
+                    square[k] = depart[k] * depart[k]
             add_alone(out_sums[patch[m], group, 0], share[m] * square)
             add_alone(out_sums[patch[m], group, 1], share[m] * depart)
 
