@@ -28,8 +28,9 @@ OF_CYCLE = 2.0
 # Standard deviations of a part's factor: of its slopes (a px), of ambient light's share, and of its middle, about the
 # frame's once that is known.
 _SLOPE, _AMBIENT, _GAIN, _ANY_GAIN = 5e-4, 0.25, 0.08, 0.5
-# A large part's likeliest offsets are found by some of its blocks, and weighed by many.
-_SOME, _LIKELIEST, _MANY = 300, 4, 1200
+# A large part's likeliest offsets are found by some of its blocks, and weighed by many; those of which the logarithm of
+# the likelihood is less by this are no contenders.
+_SOME, _LIKELIEST, _MANY, _CONTENDS = 300, 4, 1200, 30.0
 # Of a part's blocks, those whose orders may lie outside the pattern at either end; and how probably a part shows no
 # code.
 _STRAYS, _NO_CODE = 0.05, 0.1
@@ -275,13 +276,15 @@ class CodeReader:
         shown = _thinned(part.values, _SOME)
         if part.values.shape[1] > _FLATTENED:
             likelihood, _, terms, _ = self._fit(shown, offsets)
-            likely, shown = np.argsort(likelihood)[-_LIKELIEST:], _thinned(part.values, _MANY)
+            near = np.flatnonzero(likelihood > likelihood.max() - _CONTENDS)
+            likely, shown = near[np.argsort(likelihood[near])[-_LIKELIEST:]], _thinned(part.values, _MANY)
             # Each as if what is left of the factor were so by its offset.
             flat = self._flat(part, offsets[likely], terms[:, likely], _AROUND, _step(part.values, _MANY))
             found = self._fit(shown, offsets[likely], level=flat).likelihood
             shown[Row.LEVEL] = flat[found.argmax()]
-            # The others were less likely than any of these.
-            likelihood = np.full(len(offsets), found.min())
+            # The others were less likely than any of these, and where those are few, by much.
+            least = found.min() if len(near) > _LIKELIEST else found.max() - _CONTENDS
+            likelihood = np.full(len(offsets), least)
             likelihood[likely] = found
             without = self._fit_with_even(shown, offsets[:0])
         else:
