@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from tikernels import runtime
 from tikernels._taichi import (
     F32Array1,
     F32Array2,
@@ -38,7 +39,7 @@ _ROUNDS, _SWEEPS = 3, 8
 _NEVER = 1e30
 
 
-@kernel
+@kernel(whole_vectors=True)
 def weigh_offsets_kernel(
     serial: Static,  # whether one thread does it
     block: I32Array1,  # (M,) of each share; those of a block follow each other
@@ -195,7 +196,8 @@ def weigh_offsets(
     most : float
         What a block may deviate by, in standard deviations; by so much does one outside the code.
     """
-    sums = np.zeros((count, _groups(len(offsets)), 2, LANES), np.float32)
+    sums = runtime.empty_on_host((count, _groups(len(offsets)), 2, LANES), np.float32)
+    sums[...] = 0
     block, patch = (np.ascontiguousarray(numbers, np.int32) for numbers in held[:2])
     share = held[2].astype(np.float32)
     seen = (np.ascontiguousarray(order, np.int32), level.astype(np.float32), sigma.astype(np.float32))

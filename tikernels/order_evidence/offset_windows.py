@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from tikernels import runtime
 from tikernels._taichi import (
     F32Array3,
     I32Array1,
@@ -27,6 +28,7 @@ from tikernels._taichi import (
     ti,
     vec16,
 )
+from tikernels.lanes import whole_rows
 from tikernels.launching import kernel
 from tikernels.order_evidence.offset_labelling import LANES, OffsetEvidence
 from tikernels.unwrapping.patches import one_thread_is_faster
@@ -37,7 +39,7 @@ _LEVELS, _FROM_TO = 8, (0.02, 0.98)
 _LEAST_CELLS = 9
 
 
-@kernel
+@kernel(whole_vectors=True)
 def sum_tables_kernel(
     serial: Static,  # whether one thread does it
     patch: I32Array1,  # (P,) sorted by cell
@@ -85,7 +87,7 @@ def best_offset(table: Static, scale: f32, corner: i32, below: i32, beside: i32,
     return best, better
 
 
-@kernel
+@kernel(whole_vectors=True)
 def scan_windows_kernel(
     serial: Static,  # whether one thread does it
     windows: I32Array2,  # (W, 2) cells, rows by columns
@@ -200,6 +202,7 @@ def find_other_offsets(
         By how much it is better, in variances.
     """
     rule = _Rule(most_columns, common, least)
+    evidence = evidence._replace(sums=np.asarray(whole_rows(evidence.sums)[0][0]))
     scanned, pieces = _scan(evidence, cells, own, windows, rule), _pieces(evidence, cells, own, brightness, rule)
     places, gain = [*scanned.cells, *pieces.cells], np.append(scanned.gain, pieces.gain)
     taken = np.full((cells.rows, cells.columns), -1, np.int64)
@@ -240,7 +243,8 @@ def _sum_table(
     patch: npt.NDArray[np.integer], starts: npt.NDArray[np.integer], columns: int, values: npt.NDArray[np.float32]
 ) -> npt.NDArray[np.float32]:
     """Return a table of sums of patches' values (P, groups, 2, LANES); see `sum_tables_kernel`."""
-    table = np.empty(((len(starts) - 1) // columns + 1, columns + 1, *values.shape[1:]), np.float32)
+    shape = ((len(starts) - 1) // columns + 1, columns + 1, *values.shape[1:])
+    table = runtime.empty_on_host(shape, np.float32)
     table[0] = table[:, 0] = 0
     places, table = (patch.astype(np.int32), starts.astype(np.int32)), table.reshape(-1, *values.shape[1:])
     sum_tables_kernel(one_thread_is_faster(len(patch)), *places, columns, values, table)
