@@ -283,10 +283,9 @@ class CodeReader:
             flat = self._flat(part, offsets[likely], terms[:, likely], _AROUND, _step(part.values, _MANY))
             found = self._fit(shown, offsets[likely], level=flat).likelihood
             shown[Row.LEVEL] = flat[found.argmax()]
-            # The others were less likely than any of these, and where those are few, by much.
-            least = found.min() if len(near) > _LIKELIEST else found.max() - _CONTENDS
-            likelihood = np.full(len(offsets), least)
-            likelihood[likely] = found
+            # Other contenders were less likely than any of these, and the rest is as far behind as it was.
+            likelihood += found.max() - likelihood.max()
+            likelihood[near], likelihood[likely] = found.min(), found
             without = self._fit_with_even(shown, offsets[:0])
         else:
             without = self._fit_with_even(shown, offsets)
