@@ -140,12 +140,11 @@ def _full_weight(weight: FloatArray, root: Integers, order: Integers, column: np
     if len(weight) == 0:
         return np.zeros(0)
     number = np.cumsum(np.diff(root, prepend=root[0]) != 0) * (np.ptp(order) + 1) + order - order.min()
-    rows = np.cumsum(np.bincount(number) > 0)
-    row, rising = rows[number] - 1, np.argsort(weight)
-    grid = np.zeros((rows[-1], column.max() + 1), np.float32)
-    grid[row[rising], column[rising]] = weight[rising]  # of several the largest stays
+    rows, columns = np.cumsum(np.bincount(number) > 0), column.max() + 1
+    place, grid = (rows[number] - 1) * columns + column, np.zeros((rows[-1], columns), np.float32)
+    np.maximum.at(grid.reshape(-1), place, weight.astype(np.float32))
     beside = cv2.dilate(grid, np.ones((1, _NEAR_BLOCKS), np.uint8))
     around = cv2.dilate(beside, np.ones((3, 1), np.uint8))
     # A cycle that a surface's edge cuts all along is as long as the next one.
     longest = np.where(beside < _MIN_WHOLE * around, around, beside)
-    return np.asarray(np.maximum(longest[row, column], _MIN_WEIGHT), np.float64)
+    return np.asarray(np.maximum(longest.reshape(-1)[place], _MIN_WEIGHT), np.float64)

@@ -204,9 +204,9 @@ class CodeReader:
         return self._parts[key]
 
     def _new_part(self, which: Integers) -> PartBlocks:
-        blocks, columns = self.blocks, self.columns[which]
-        place, brightness = blocks.place[which], blocks.brightness[which]
-        middle, usual = place.mean(axis=0), float(np.median(brightness))
+        blocks, columns = self.blocks, self.columns.take(which, axis=0)
+        place, brightness = blocks.place.take(which, axis=0), blocks.brightness[which]
+        middle, usual = np.full(len(which), 1 / len(which)) @ place, float(np.median(brightness))
         values = np.empty((ROWS, len(which)), np.float32)
         values[Row.LEVEL], values[Row.VARIANCE] = blocks.contrast[which], blocks.variance[which]
         values[Row.DOWN : Row.DARKER + 1] = Factor.shape(place, brightness, middle, usual).T[1:]
