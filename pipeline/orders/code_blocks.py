@@ -108,13 +108,13 @@ def read_blocks(
     variance = _OF_MODULATION / mean[MODULATION] ** 2 + _OF_BACKGROUND / mean[BACKGROUND] ** 2
     variance *= noise**2 / (_COUNTED * weight)
     place = np.stack([CELL_HEIGHT * (middle / weight + 0.5), BLOCK_WIDTH * (column + 0.5)], axis=1) - 0.5
-    seen = contrast, variance, mean[MODULATION] + mean[BACKGROUND], mean[PHASE] / (2 * np.pi)
+    brightness, off = mean[MODULATION] + mean[BACKGROUND], mean[PHASE] / (2 * np.pi)
+    seen = contrast[shown], variance[shown], brightness[shown], off[shown]
     number = np.where(shown, np.cumsum(shown) - 1, -1)[of]
     held = np.flatnonzero(number >= 0)
     share = values[TOTAL, held] / weight[of[held]]
-    which = np.flatnonzero(shown)
-    of_blocks = (every.take(which, axis=0) for every in (root, order, place, *seen))
-    return Blocks(*of_blocks, number[held], patch[held], share, ripple)
+    place = place.compress(shown, axis=0)
+    return Blocks(root[shown], order[shown], place, *seen, number[held], patch[held], share, ripple)
 
 
 def _ripple(values: FloatArray, of: Integers, mean: FloatArray, contrast: FloatArray) -> FloatArray:

@@ -261,7 +261,8 @@ def _pieces(
     bright = np.full(rows * columns, np.nan, np.float32)
     bright[seen] = np.bincount(cell, brightness, rows * columns)[seen] / weight[seen]
     ends = [round(share * (len(seen) - 1)) for share in _FROM_TO]
-    levels = np.linspace(*np.partition(bright[seen], ends)[ends], _LEVELS + 2)[1:-1, None]
+    darkest, brightest = np.partition(bright[seen], ends)[ends]
+    levels = np.linspace(darkest, brightest, _LEVELS + 2)[1:-1, None]
     # One below the other, with a row between them.
     sides = np.zeros((2 * _LEVELS, rows + 1, columns), np.uint8)
     sides[:, :rows] = np.concatenate([bright > levels, bright < levels]).reshape(-1, rows, columns)
