@@ -154,9 +154,10 @@ def settle_borders(
         How probably that is wrong. A part that is probably misplaced takes no patches; orders that are not
         certain are flagged anyway, and their patches not torn.
     """
-    if graph.borders is None:
+    borders, count = graph.borders, len(roots)
+    if borders is None or not (borders.going_on[_apart(borders, roots)] >= _SOME_PX).any():
         return SettledBorders.none(roots)
-    borders, parts, blocks, count = graph.borders, _Parts(reader, lacks), reader.blocks, len(roots)
+    parts, blocks = _Parts(reader, lacks), reader.blocks
     own, shown = parts.own, np.bincount(blocks.patch, blocks.share, count)  # blocks of each patch
     orders, roots, torn = graph.offset + lacks, roots.copy(), np.zeros(count, np.bool_)
     for part, other, change, seeds in _going_on(borders, orders, roots, _SOME_PX):
@@ -182,12 +183,17 @@ def settle_borders(
         if {part, other} <= parts.factors.keys():
             asked = np.bincount(seeds, minlength=count) > 0
             torn |= asked & (parts.judge(asked, other, orders - graph.offset + change)[2] < _UNDECIDED)
-    touching = (roots[borders.ends[0]] != roots[borders.ends[1]]) & (borders.going_on > _SOME_PX)
+    touching = _apart(borders, roots) & (borders.going_on > _SOME_PX)
     beside = np.bincount(borders.ends[:, touching].ravel(), minlength=count) > 0
     contradicted = np.bincount(blocks.patch, own.cost(), count) > 0.5 * _CONTRADICTS * _COUNTS * shown
     torn |= beside & (shown > _WELL_SHOWN) & contradicted
     known = errors[roots] < MAX_ABSOLUTE_ERROR
     return SettledBorders(roots.astype(np.int32), orders - graph.offset - lacks[roots], torn & known)
+
+
+def _apart(borders: Borders, roots: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_]:
+    """Return which borders lie between two parts."""
+    return np.asarray(roots[borders.ends[0]] != roots[borders.ends[1]])
 
 
 def _going_on(
