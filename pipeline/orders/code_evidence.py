@@ -53,9 +53,8 @@ _FLATTENED, _AROUND, _CLASSES = 100, (5, 3), 2
 _OFF, _OF_NEIGHBOURS = 0.02, 0.6
 # Offsets of a part under which responses, or shifts, are compared.
 _NAMED = 3
-# So many of the largest parts tell what all parts of a frame have in common; none with a smaller share of the largest
-# one's blocks.
-_TELLING, _LEAST_TELLING = 3, 0.05
+# So many of the largest parts tell what all parts of a frame have in common.
+_TELLING = 3
 # By how many standard deviations a block may be off where it is compared with those beside it.
 _MOST_APART = 3.0
 # Outside every code.
@@ -375,9 +374,8 @@ class CodeReader:
 
     def _largest(self) -> list[Integers]:
         """Return the blocks of the largest parts."""
-        counts = np.bincount(self.blocks.root)
-        roots = np.argsort(counts)[-_TELLING:]
-        largest = self.blocks_of(roots[counts[roots] > _LEAST_TELLING * counts.max(initial=0)])
+        roots, counts = np.unique(self.blocks.root, return_counts=True)
+        largest = self.blocks_of(roots[np.argsort(counts)[-_TELLING:]])
         return [some for some in largest if len(self.offsets(some))]
 
     def _shift_near(self, parts: list[PartBlocks], offsets: list[int]) -> float:
