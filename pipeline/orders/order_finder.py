@@ -255,32 +255,30 @@ class OrderFinder:
         orders: RegionOrders,
         shift_px: float | None,
         out: SurfaceBuffers,
-    ) -> tuple[bool, Cause | None]:
-        """With a code, correct the phases by the modulation that their places have.
+    ) -> Cause | None:
+        """With a code, correct the unwrapped phase by the modulation that its places have.
 
         Parameters
         ----------
         seen : SeenPhase
             The frame.
         raw : (H, W) float32
-            rad, the phase before it was smoothed, which is corrected.
+            rad, the phase before it was smoothed.
         regions, orders
             Its regions, written to `out`, and what is known of them.
         shift_px : float, optional
             By how many projector px the code lies off along the stripe.
         out : SurfaceBuffers
-            The frame's.
+            The frame's; its unwrapped phase, smoothed along the stripes, is corrected.
 
         Returns
         -------
-        bool
-            Whether anything was corrected.
         Cause or None
             What the user should know.
         """
         if self.code is None:
-            return False, None
-        known, corrected = orders.known, False
+            return None
+        known = orders.known
         if known.any():
             ripples = measure_ripples(
                 raw,
@@ -292,13 +290,12 @@ class OrderFinder:
                 code=self.code,
                 columns=None if self._columns is None else self._columns.shifted(shift_px or 0.0),
             )
-            correct_by_modulation(out.region, out.unwrapped, known, ripples, out=raw)
-            corrected = True
+            correct_by_modulation(out.region, known, ripples, out=out.unwrapped)
         lost = float(regions.pixels[~known[1:]].sum() / max(regions.pixels.sum(), 1))
         if lost > _MAX_LOST:
             text = f"{lost:.0%} of the pixels show too little of the code, or contradict it: their order is a guess"
-            return corrected, Cause("orders guessed", text)
-        return corrected, None
+            return Cause("orders guessed", text)
+        return None
 
     def shows_a_code(self, seen: SeenPhase, patches: Patches) -> bool:
         """Whether a frame shows a code that neither settings nor calibration state."""
@@ -319,7 +316,8 @@ class OrderFinder:
     ) -> CodedOrders:
         if self._columns is None and self._geometry is not None and rays is not None:
             self._columns = StripeColumns(self._geometry, runtime.to_host(rays.rays))
-        sums = measure_contrast(seen.image, seen.crosstalk, seen.gains, seen.phase, seen.modulation, patches)
+        light = (seen.image, seen.crosstalk, seen.gains)
+        sums = measure_contrast(*light, seen.phase, seen.modulation, patches, seen.period_px)
         width, code = int(seen.image.shape[1]), self.code or ContrastCode.named("contrast")
         return find_absolute_orders(
             sums, graph, code, self._columns, width=width, noise=seen.noise, order_range=order_range

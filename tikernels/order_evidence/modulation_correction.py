@@ -2,7 +2,7 @@
 
 Response and blur bend the phase by what the modulation is. Where the order of a cycle is absolute, its modulation is
 the code's, so what is to be added depends on the absolute phase, and on the place along the stripe if the code changes
-there. It comes before the phase is smoothed along the stripe.
+there. It comes after the phase is smoothed along the stripes, and before it is smoothed across them.
 """
 
 from typing import NamedTuple
@@ -21,6 +21,7 @@ from tikernels._taichi import (
     i32,
     mat5,
     ti,
+    vec2,
     vec3,
     vec4,
     vec5,
@@ -54,22 +55,25 @@ class CodeRipples(NamedTuple):
 
 
 @ti.func
-def tabled(table: F32Array2, row: i32, share: f32) -> f32:
-    """Interpolate a row of a table at a share of its length, 0..1."""
-    last = table.shape[1] - 1
-    place = ti.min(ti.max(share, 0.0), 1.0) * last
+def tabled(within: F32Array2, cycles: f32) -> vec2:
+    """Interpolate the two rows of a table over a cycle, which begins half a cycle before its middle."""
+    last = within.shape[1] - 1
+    place = (cycles + 0.5 - ti.floor(cycles + 0.5)) * last
     below = ti.min(ti.cast(place, ti.i32), last - 1)
-    return table[row, below] + (place - below) * (table[row, below + 1] - table[row, below])
+    low, high = vec2(within[0, below], within[1, below]), vec2(within[0, below + 1], within[1, below + 1])
+    return low + (place - below) * (high - low)
 
 
 @ti.func
-def ripples_at(table: F32Array3, cycles: f32, along: f32) -> vec3:
-    """Interpolate a code's ripples at an absolute phase in cycles, and a column in repeats of the code."""
-    last = table.shape[0] - 1
+def ripples_at(table: F32Array3, terms: vec4, cycles: f32) -> vec3:
+    """Interpolate a code's ripples at an absolute phase in cycles, in a column with these terms."""
+    last, places = table.shape[0] - 1, table.shape[1]
     place = ti.min(ti.max(cycles * TABLED, 0.0), ti.cast(last, ti.f32))
-    below = ti.min(ti.cast(place, ti.i32), last - 1)
-    # Not a number where a ray meets the pattern nowhere.
-    column = ti.max(ti.min(ti.cast((along - ti.floor(along)) * table.shape[1], ti.i32), table.shape[1] - 1), 0)
+    below, column = ti.min(ti.cast(place, ti.i32), last - 1), 0
+    if places > 1:
+        along = terms[0] + cycles * (terms[1] + cycles * (terms[2] + cycles * terms[3]))
+        # Not a number where a ray meets the pattern nowhere.
+        column = ti.max(ti.min(ti.cast((along - ti.floor(along)) * places, ti.i32), places - 1), 0)
     ripples = vec3(0.0)
     for k in ti.static(range(3)):
         low, high = table[below, column, k], table[below + 1, column, k]
@@ -90,11 +94,8 @@ def node_terms(columns: F32Array3, row: i32, down: f32, column: i32) -> vec4:
 def bending_at(table: F32Array3, within: F32Array2, terms: vec4, unwrapped: f32) -> vec3:
     """Return how much there is of each ripple at an absolute phase, rad, of a column with these terms."""
     cycles = unwrapped * (0.5 / PI)
-    along = terms[0] + cycles * (terms[1] + cycles * (terms[2] + cycles * terms[3]))
-    ripples = ripples_at(table, cycles, along)
-    share = cycles + 0.5 - ti.floor(cycles + 0.5)
-    of_contrast = tabled(within, 0, share) + (2.0 + ripples[0]) * tabled(within, 1, share)
-    return vec3(ripples[0] * of_contrast, ripples[1], ripples[2])
+    ripples, of_contrast = ripples_at(table, terms, cycles), tabled(within, cycles)
+    return vec3(ripples[0] * (of_contrast[0] + (2.0 + ripples[0]) * of_contrast[1]), ripples[1], ripples[2])
 
 
 @kernel
@@ -140,16 +141,15 @@ def measure_bends_kernel(
 @kernel
 def correct_by_modulation_kernel(
     region: I32Array2,  # (H, W) region's number from 1; 0 outside
-    unwrapped: F32Array2,  # (H, W) rad
     absolute: I32Array1,  # (regions + 1,) 1 where the orders are absolute
     table: F32Array3,  # (N, places, 3)
     within: F32Array2,  # (2, bins + 1) rad
     shares: F32Array1,  # (3,)
     columns: F32Array3,  # (h, w, 4)
-    phase: F32Array2,  # (H, W) rad, to be corrected
+    unwrapped: F32Array2,  # (H, W) rad, to be corrected
 ):
     """Correct the phases of all regions whose orders are absolute."""
-    height, width = phase.shape[0], phase.shape[1]
+    height, width = region.shape[0], region.shape[1]
     for t in range(height * strip_count(width, STRIP)):
         y, first, count = strip_at(t, width, STRIP)
         row, node = y // NODE_PX, first // NODE_PX
@@ -161,26 +161,7 @@ def correct_by_modulation_kernel(
             if absolute[region[y, x]] == 1:
                 bending = bending_at(table, within, terms + k * change, unwrapped[y, x])
                 added = shares[0] * bending[0] + shares[1] * bending[1] + shares[2] * bending[2]
-                phase[y, x] = phase[y, x] + added
-
-
-@kernel
-def follow_phase_kernel(
-    region: I32Array2,  # (H, W) region's number from 1; 0 outside
-    smoothed: F32Array2,  # (H, W) rad, the phase after the correction
-    phase: F32Array2,  # (H, W) rad, before; becomes the same
-    unwrapped: F32Array2,  # (H, W) rad, which follows
-):
-    """Let the unwrapped phase follow what has changed."""
-    height, width = phase.shape[0], phase.shape[1]
-    for t in range(height * strip_count(width, STRIP)):
-        y, first, count = strip_at(t, width, STRIP)
-        for x in range(first, first + count):
-            change = smoothed[y, x] - phase[y, x]
-            # Beside a step smoothing may find the other surface now.
-            if region[y, x] > 0 and ti.abs(change) < 0.5 * PI:
-                unwrapped[y, x] = unwrapped[y, x] + change
-                phase[y, x] = smoothed[y, x]
+                unwrapped[y, x] = unwrapped[y, x] + added
 
 
 def measure_bends(
@@ -232,24 +213,20 @@ def measure_bends(
     return np.asarray(moments.sum(axis=0), np.float64)
 
 
-def correct_by_modulation(
-    region: I32, unwrapped: F32, known: npt.NDArray[np.bool_], ripples: CodeRipples, out: F32
-) -> None:
+def correct_by_modulation(region: I32, known: npt.NDArray[np.bool_], ripples: CodeRipples, out: F32) -> None:
     """Correct the phase of places whose modulation is not the usual one, or changes.
 
     Parameters
     ----------
     region : (H, W) int32
         The region's number from 1; 0 outside.
-    unwrapped : (H, W) float32
-        rad.
     known : (regions + 1,) bool
         Whether a region's orders are absolute; False for 0. It must reach to the largest number in `region`:
         nobody checks that, which would cost a pass over the image.
     ripples : CodeRipples
         What the code does.
     out : (H, W) float32
-        The phase (rad, a little beyond [-pi, pi]), which is corrected.
+        The unwrapped phase (rad), which is corrected.
 
     Raises
     ------
@@ -258,35 +235,6 @@ def correct_by_modulation(
     """
     shape = (int(out.shape[0]), int(out.shape[1]))
     region = checks.read_array("region", region, shape, np.int32)
-    unwrapped = checks.read_array("unwrapped", unwrapped, shape, np.float32)
-    phase = checks.out_array("out", out, shape, np.float32)
+    unwrapped = checks.out_array("out", out, shape, np.float32)
     known = checks.read_array("known", known, (None,), np.bool_)
-    correct_by_modulation_kernel(region, unwrapped, known.astype(np.int32), *ripples, phase)
-
-
-def follow_phase(region: I32, smoothed: F32, out: tuple[F32, F32]) -> None:
-    """Let the unwrapped phase follow the phase that has been corrected and smoothed.
-
-    Parameters
-    ----------
-    region : (H, W) int32
-        The region's number from 1; 0 outside.
-    smoothed : (H, W) float32
-        rad.
-    out : two (H, W) float32
-        The phase as it was (rad), which becomes the same, and the unwrapped phase (rad), which follows.
-
-    Raises
-    ------
-    ShapeError
-        A shape or dtype is another one, or an output cannot be written.
-    """
-    shape = (int(out[0].shape[0]), int(out[0].shape[1]))
-    region = checks.read_array("region", region, shape, np.int32)
-    smoothed = checks.read_array("smoothed", smoothed, shape, np.float32)
-    names = ("out[0]", "out[1]")
-    follow_phase_kernel(
-        region,
-        smoothed,
-        *(checks.out_array(name, array, shape, np.float32) for name, array in zip(names, out, strict=True)),
-    )
+    correct_by_modulation_kernel(region, known.astype(np.int32), *ripples, unwrapped)
