@@ -38,6 +38,7 @@ from tikernels import runtime
 from tikernels.arrays import LevelsImage
 from tikernels.depth.point_uncertainty import point_sigma
 from tikernels.depth.triangulation import leave_out_blind, triangulate
+from tikernels.order_evidence import follow_phase
 from tikernels.phase.camera_blur import undo_camera_blur
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.field_motion import MOTION_TURNS, FieldMotion, doubt_motion, hold_still, measure_motion
@@ -274,7 +275,10 @@ class Decoder:
         rows = replace(surface, unwrapped=work.unwrapped)
         regions = patches.write(work.phase, work.brightness, rates, rows.unwrapped, rows.mask, rows.region)
         orders = placement.region_orders(patches, regions, memory)
-        lost = self._orders.refine(seen, work.raw_phase, regions, orders, placement.shift_px, out=rows)
+        corrected, lost = self._orders.refine(seen, work.raw_phase, regions, orders, placement.shift_px, out=rows)
+        if corrected:
+            work.smoother.along(work.raw_phase, phases.precision, rates, out=work.fitted_phase)
+            follow_phase(work.fitted_phase, work.phase, out=rows.unwrapped)
         light_and_phase = (work.brightness, phases.modulation, work.phase)
         leave_out_strangers(*light_and_phase, out=(rows.unwrapped, rows.mask, rows.region))
         # What smoothing and unwrapping had no place for at the rims, each pixel by itself.

@@ -255,30 +255,32 @@ class OrderFinder:
         orders: RegionOrders,
         shift_px: float | None,
         out: SurfaceBuffers,
-    ) -> Cause | None:
-        """With a code, correct the unwrapped phase by the modulation that its places have.
+    ) -> tuple[bool, Cause | None]:
+        """With a code, correct the phases by the modulation that their places have.
 
         Parameters
         ----------
         seen : SeenPhase
             The frame.
         raw : (H, W) float32
-            rad, the phase before it was smoothed.
+            rad, the phase before it was smoothed, which is corrected.
         regions, orders
             Its regions, written to `out`, and what is known of them.
         shift_px : float, optional
             By how many projector px the code lies off along the stripe.
         out : SurfaceBuffers
-            The frame's; its unwrapped phase, smoothed along the stripes, is corrected.
+            The frame's.
 
         Returns
         -------
+        bool
+            Whether anything was corrected.
         Cause or None
             What the user should know.
         """
         if self.code is None:
-            return None
-        known = orders.known
+            return False, None
+        known, corrected = orders.known, False
         if known.any():
             ripples = measure_ripples(
                 raw,
@@ -290,12 +292,13 @@ class OrderFinder:
                 code=self.code,
                 columns=None if self._columns is None else self._columns.shifted(shift_px or 0.0),
             )
-            correct_by_modulation(out.region, known, ripples, out=out.unwrapped)
+            correct_by_modulation(out.region, out.unwrapped, known, ripples, out=raw)
+            corrected = True
         lost = float(regions.pixels[~known[1:]].sum() / max(regions.pixels.sum(), 1))
         if lost > _MAX_LOST:
             text = f"{lost:.0%} of the pixels show too little of the code, or contradict it: their order is a guess"
-            return Cause("orders guessed", text)
-        return None
+            return corrected, Cause("orders guessed", text)
+        return corrected, None
 
     def shows_a_code(self, seen: SeenPhase, patches: Patches) -> bool:
         """Whether a frame shows a code that neither settings nor calibration state."""

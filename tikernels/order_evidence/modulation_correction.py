@@ -2,10 +2,11 @@
 
 Response and blur bend the phase by what the modulation is. Where the order of a cycle is absolute, its modulation is
 the code's, so what is to be added depends on the absolute phase, and on the place along the stripe if the code changes
-there. It comes after the phase is smoothed along the stripes, and before it is smoothed across them.
+there. It comes before the phase is smoothed along the stripe.
 """
 
-from typing import NamedTuple
+from functools import cache
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -27,6 +28,18 @@ from tikernels._taichi import (
     vec5,
 )
 from tikernels.arrays import F32, I32
+from tikernels.lanes import (
+    Lanes,
+    as_lanes,
+    lane_count,
+    lanes_at,
+    load_lanes,
+    planes,
+    put_back,
+    store_lanes,
+    whole_rows,
+    width_of,
+)
 from tikernels.launching import kernel
 from tikernels.phase.phase_vector import PI
 from tikernels.strips import STRIP, strip_at, strip_count
@@ -141,15 +154,16 @@ def measure_bends_kernel(
 @kernel
 def correct_by_modulation_kernel(
     region: I32Array2,  # (H, W) region's number from 1; 0 outside
+    unwrapped: F32Array2,  # (H, W) rad
     absolute: I32Array1,  # (regions + 1,) 1 where the orders are absolute
     table: F32Array3,  # (N, places, 3)
     within: F32Array2,  # (2, bins + 1) rad
     shares: F32Array1,  # (3,)
     columns: F32Array3,  # (h, w, 4)
-    unwrapped: F32Array2,  # (H, W) rad, to be corrected
+    phase: F32Array2,  # (H, W) rad, to be corrected
 ):
     """Correct the phases of all regions whose orders are absolute."""
-    height, width = region.shape[0], region.shape[1]
+    height, width = phase.shape[0], phase.shape[1]
     for t in range(height * strip_count(width, STRIP)):
         y, first, count = strip_at(t, width, STRIP)
         row, node = y // NODE_PX, first // NODE_PX
@@ -161,7 +175,34 @@ def correct_by_modulation_kernel(
             if absolute[region[y, x]] == 1:
                 bending = bending_at(table, within, terms + k * change, unwrapped[y, x])
                 added = shares[0] * bending[0] + shares[1] * bending[1] + shares[2] * bending[2]
-                unwrapped[y, x] = unwrapped[y, x] + added
+                phase[y, x] = phase[y, x] + added
+
+
+@cache
+def _follow_phase_kernel(wide: bool) -> Any:
+    """Return the kernel for rows of vectors, or of numbers."""
+    lanes = Lanes.of(wide)
+
+    @kernel(whole_vectors=wide)
+    def follow_phase_kernel(
+        smoothed: planes(wide),  # (H, W) rad, the phase after the correction
+        phase: planes(wide),  # (H, W) rad, before
+        unwrapped: planes(wide),  # (H, W) rad, which follows; NaN outside the mask
+    ):
+        """Let the unwrapped phase follow what has changed."""
+        height, width = phase.shape[0], width_of(phase, wide)
+        for t in range(height * lane_count(width, wide)):
+            y, place = lanes_at(t, width, wide)
+            after = load_lanes(smoothed, lanes.floats, y, place, width, wide)
+            before = load_lanes(phase, lanes.floats, y, place, width, wide)
+            follows = load_lanes(unwrapped, lanes.floats, y, place, width, wide)
+            for k in range(lanes.count):
+                change = after[k] - before[k]
+                # Beside a step smoothing may find the other surface now.
+                follows[k] += ti.select(ti.abs(change) < 0.5 * PI, change, 0.0)
+            store_lanes(unwrapped, y, place, width, follows, wide)
+
+    return follow_phase_kernel
 
 
 def measure_bends(
@@ -213,20 +254,24 @@ def measure_bends(
     return np.asarray(moments.sum(axis=0), np.float64)
 
 
-def correct_by_modulation(region: I32, known: npt.NDArray[np.bool_], ripples: CodeRipples, out: F32) -> None:
+def correct_by_modulation(
+    region: I32, unwrapped: F32, known: npt.NDArray[np.bool_], ripples: CodeRipples, out: F32
+) -> None:
     """Correct the phase of places whose modulation is not the usual one, or changes.
 
     Parameters
     ----------
     region : (H, W) int32
         The region's number from 1; 0 outside.
+    unwrapped : (H, W) float32
+        rad.
     known : (regions + 1,) bool
         Whether a region's orders are absolute; False for 0. It must reach to the largest number in `region`:
         nobody checks that, which would cost a pass over the image.
     ripples : CodeRipples
         What the code does.
     out : (H, W) float32
-        The unwrapped phase (rad), which is corrected.
+        The phase (rad, a little beyond [-pi, pi]), which is corrected.
 
     Raises
     ------
@@ -235,6 +280,33 @@ def correct_by_modulation(region: I32, known: npt.NDArray[np.bool_], ripples: Co
     """
     shape = (int(out.shape[0]), int(out.shape[1]))
     region = checks.read_array("region", region, shape, np.int32)
-    unwrapped = checks.out_array("out", out, shape, np.float32)
+    unwrapped = checks.read_array("unwrapped", unwrapped, shape, np.float32)
+    phase = checks.out_array("out", out, shape, np.float32)
     known = checks.read_array("known", known, (None,), np.bool_)
-    correct_by_modulation_kernel(region, known.astype(np.int32), *ripples, unwrapped)
+    correct_by_modulation_kernel(region, unwrapped, known.astype(np.int32), *ripples, phase)
+
+
+def follow_phase(smoothed: F32, phase: F32, out: F32) -> None:
+    """Let the unwrapped phase follow the phase that has been corrected and smoothed.
+
+    Parameters
+    ----------
+    smoothed : (H, W) float32
+        rad.
+    phase : (H, W) float32
+        rad, as it was before.
+    out : (H, W) float32
+        The unwrapped phase (rad; NaN outside the mask), which follows.
+
+    Raises
+    ------
+    ShapeError
+        A shape or dtype is another one, or the output cannot be written.
+    """
+    shape = (int(phase.shape[0]), int(phase.shape[1]))
+    smoothed = checks.read_array("smoothed", smoothed, shape, np.float32)
+    phase = checks.read_array("phase", phase, shape, np.float32)
+    unwrapped = checks.out_array("out", out, shape, np.float32)
+    rows, wide = whole_rows(smoothed, phase, unwrapped)
+    _follow_phase_kernel(wide)(*(as_lanes(array, wide) for array in rows))
+    put_back(rows[2], unwrapped)

@@ -5,7 +5,7 @@ import pytest
 import reference
 
 import tikernels
-from tikernels.order_evidence import correct_by_modulation
+from tikernels.order_evidence import correct_by_modulation, follow_phase
 from tikernels.order_evidence.modulation_correction import NODE_PX, TABLED, CodeRipples, measure_bends
 from tikernels.phase.equalization import modulation_tables
 
@@ -41,16 +41,16 @@ def test_correction_as_the_twin(arch):
     region = np.ones(shape, np.int32)
     region[:, 35:] = 2
     region[0] = 0
-    unwrapped = (2 * np.pi * cycles).astype(np.float32)
-    corrected = unwrapped.copy()
-    correct_by_modulation(region, np.array([False, True, False]), ripples, out=corrected)
+    phase, unwrapped = rng.uniform(-np.pi, np.pi, shape).astype(np.float32), (2 * np.pi * cycles).astype(np.float32)
+    corrected = phase.copy()
+    correct_by_modulation(region, unwrapped, np.array([False, True, False]), ripples, out=corrected)
     along = columns_at(nodes.astype(float), shape, cycles)
     expected = reference.correct_by_modulation(cycles, table, TABLED, along, ripples.within, shares)
-    np.testing.assert_array_equal(corrected[region != 1], unwrapped[region != 1])
+    np.testing.assert_array_equal(corrected[region != 1], phase[region != 1])
     # But beside the border of two places, which float32 may see elsewhere.
     sure = (region == 1) & (np.abs(np.mod(5 * along + 0.5, 1) - 0.5) > 1e-3)
     assert sure.sum() > 0.97 * (region == 1).sum()
-    np.testing.assert_allclose((corrected - unwrapped)[sure], expected[sure], atol=1e-4)
+    np.testing.assert_allclose((corrected - phase)[sure], expected[sure], atol=1e-4)
 
 
 def test_bends_as_the_twin(arch):
@@ -115,12 +115,28 @@ def test_a_ramp_of_ripples_is_interpolated(arch):
     Before the first cycle's middle it stays.
     """
     cycles = np.random.default_rng(1).uniform(-0.5, 10, (20, 40))
-    corrected = (2 * np.pi * cycles).astype(np.float32)
+    unwrapped, phase = (2 * np.pi * cycles).astype(np.float32), np.zeros((20, 40), np.float32)
     table = np.zeros((10 * TABLED + 1, 1, 3), np.float32)
     table[:, 0, 1] = 0.1 * np.arange(10 * TABLED + 1) / TABLED
     ripples = CodeRipples(table, np.zeros((2, 257), np.float32), np.array([1, 2, 0], np.float32), nodes_of((20, 40)))
-    correct_by_modulation(np.ones((20, 40), np.int32), np.array([False, True]), ripples, out=corrected)
-    np.testing.assert_allclose(corrected - 2 * np.pi * cycles, 0.2 * np.maximum(cycles, 0), atol=3e-5)
+    correct_by_modulation(np.ones((20, 40), np.int32), unwrapped, np.array([False, True]), ripples, out=phase)
+    np.testing.assert_allclose(phase, 0.2 * np.maximum(cycles, 0), atol=1e-5)
+
+
+@pytest.mark.parametrize("width", [70, 64])
+def test_the_unwrapped_phase_follows(arch, width):
+    """Where there is one, by what smoothing has changed, and not where that is the other side of a step."""
+    shape = (40, width)
+    rng = np.random.default_rng(2)
+    phase, unwrapped = (rng.uniform(-3, 3, shape).astype(np.float32) for _ in range(2))
+    change = rng.uniform(-0.3, 0.3, shape).astype(np.float32)
+    change[5, 7], change[6, 7] = 2.0, -1.7
+    unwrapped[:, ::10] = np.nan
+    followed = unwrapped.copy()
+    follow_phase(phase + change, phase, out=followed)
+    follows = np.abs(change) < np.pi / 2
+    np.testing.assert_allclose(followed, np.where(follows, unwrapped + change, unwrapped), atol=1e-6)
+    assert not follows[5, 7] and not follows[6, 7] and follows.mean() > 0.99
 
 
 def test_what_is_refused(arch):
@@ -132,6 +148,10 @@ def test_what_is_refused(arch):
     read_only.setflags(write=False)
     for out in (phase[1:], read_only, phase.astype(np.float64)):
         with pytest.raises(tikernels.ShapeError):
-            correct_by_modulation(region, known, ripples, out=out)
+            correct_by_modulation(region, phase.copy(), known, ripples, out=out)
+        with pytest.raises(tikernels.ShapeError):
+            follow_phase(phase.copy(), phase.copy(), out=out)
     with pytest.raises(tikernels.ShapeError, match="region has shape"):
-        correct_by_modulation(region[1:], known, ripples, out=phase)
+        correct_by_modulation(region[1:], phase.copy(), known, ripples, out=phase)
+    with pytest.raises(tikernels.ShapeError, match="smoothed has shape"):
+        follow_phase(phase[1:], phase, out=phase.copy())
