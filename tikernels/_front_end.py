@@ -34,7 +34,7 @@ def read_sooner() -> None:
     kernels._inside_class = _inside_class
     kernels._get_tree_and_ctx = _tree_and_context
     kernels.transform_tree = _transform_once
-    transformer.build_Attribute = staticmethod(_attribute)
+    transformer.build_Attribute, transformer.build_Name = staticmethod(_attribute), staticmethod(_name)
     contexts.Builder.__call__ = _visit
     contexts.ASTTransformerContext.get_pos_info = _place
     matrices.sum, matrices.matmul = _sum, _matmul
@@ -106,6 +106,12 @@ def _transform_once(tree: Any, context: Any) -> Any:
         return _transform(tree, context)
     finally:
         tree.in_use = False
+
+
+def _name(context: Any, node: Any) -> Any:
+    """Do what `build_Name` does, which notes the place in what is read as well."""
+    node.ptr = context.get_var_by_name(node.id)
+    return node.ptr
 
 
 def _elements(matrix: Any) -> list[Any]:

@@ -6,7 +6,7 @@ phase of the other surface goes on over many pixels, too, but the orders step by
 So does the brightness: where it has an edge the border of the surfaces is seen, and lies between the cells.
 """
 
-from tikernels._taichi import F32Array2, I32Array2, Static, f32, i32, ti, vec3, vec4
+from tikernels._taichi import F32Array2, I32Array2, f32, i32, ti, vec3, vec4
 from tikernels.launching import kernel
 from tikernels.phase.phase_vector import TINY
 from tikernels.phase.smoothing import MAX_DEPARTURE
