@@ -250,16 +250,26 @@ def new_metadata(
     lengths, files = _axis_lengths(size_px), dict[str, bytes]()
     for name in (*fields, DONE):
         axes, dtype = _axes(name), np.dtype(np.uint8 if name == DONE else FIELDS[name].dtype)
-        fill = _BLANK if name == DONE else {"f": "NaN", "b": False}.get(dtype.kind, 0)
-        shape, level = tuple(lengths[axis] for axis in axes), None if name == DONE else LEVEL
-        about_it = _described(name, attributes, timed=times is not None)
-        array = array_metadata((n_frames, *shape), (1, *shape), dtype, level, ("frame", *axes), fill, about_it)
+        shape = tuple(lengths[axis] for axis in axes)
+        array = array_metadata(
+            (n_frames, *shape),
+            (1, *shape),
+            dtype,
+            None if name == DONE else LEVEL,
+            ("frame", *axes),
+            fill_value=_BLANK if name == DONE else "NaN" if dtype.kind == "f" else dtype.type(0).item(),
+            attributes=_described(name, attributes, timed=times is not None),
+        )
         files[f"{name}/{_METADATA}"] = as_text(array)
     for name, (axes, values, about_it) in coordinates.items():
-        is_text, shape = values.dtype.kind == "O", values.shape
-        how = (str, None, axes, "") if is_text else (values.dtype, LEVEL, axes, 0.0 if values.dtype.kind == "f" else 0)
-        files[f"{name}/{_METADATA}"] = as_text(array_metadata(shape, shape, *how, about_it))
-        files[f"{name}/{_VALUES}"] = encode_texts(values) if is_text else encode_chunk(values, LEVEL)
+        if values.dtype.kind == "O":
+            array = array_metadata(values.shape, values.shape, str, None, axes, "", about_it)
+            chunk = encode_texts(values.tolist())
+        else:
+            fill_value = values.dtype.type(0).item()
+            array = array_metadata(values.shape, values.shape, values.dtype, LEVEL, axes, fill_value, about_it)
+            chunk = encode_chunk(values, LEVEL)
+        files[f"{name}/{_METADATA}"], files[f"{name}/{_VALUES}"] = as_text(array), chunk
     about = group_metadata({**labels, **attributes})
     about["attributes"][_CHECKSUM] = _digest(about, files)
     return {**files, _METADATA: as_text(about)}
