@@ -43,24 +43,24 @@ _row_of_regions = ti.types.vector(CELL_WIDTH, ti.i32)
 
 
 @ti.func
+def room_along(place: i32, step: i32, length: i32) -> i32:
+    """Return how many pixels the image goes on from a place, by this step."""
+    return ti.select(step > 0, length - 1 - place, ti.select(step < 0, place, length))
+
+
+@ti.func
 def other_light(
     phase: F32Array2, modulation: F32Array2, region: I32Array2, y: i32, x: i32, dy: i32, dx: i32, own: i32, least: f32
 ) -> u1:
     """Whether a ray that leaves its surface meets another one's light, and not its own surface again behind it."""
     found, goes_on = False, False
-    for gap in range(_PRINT + 1):
+    room = ti.min(room_along(y, dy, region.shape[0]), room_along(x, dx, region.shape[1]))
+    for gap in range(ti.min(room, _PRINT) + 1):
         y2, x2 = y + gap * dy, x + gap * dx
-        if y2 >= 0 and y2 < region.shape[0] and x2 >= 0 and x2 < region.shape[1]:
-            others = region[y2, x2] != own
-            found |= others & (gap <= _GAP) & has_phase(phase[y2, x2]) & (modulation[y2, x2] > least)
-            goes_on |= (gap > 0) & ~others
+        others = region[y2, x2] != own
+        found |= others & (gap <= _GAP) & has_phase(phase[y2, x2]) & (modulation[y2, x2] > least)
+        goes_on |= (gap > 0) & ~others
     return found & ~goes_on
-
-
-@ti.func
-def room_along(place: i32, step: i32, length: i32) -> i32:
-    """Return how many pixels the image goes on from a place, by this step."""
-    return ti.select(step > 0, length - 1 - place, ti.select(step < 0, place, length))
 
 
 @ti.func
