@@ -53,7 +53,7 @@ def _inside_class(level_of_class_stackframe: int) -> bool:
 def _parse(function: Any) -> tuple[ast.Module, list[str], int, str]:
     """Return a function's tree without decorators, its lines, the number of the first one, and its file."""
     code, file = function.__code__, kernels.getsourcefile(function)
-    first, last = code.co_firstlineno, max(end or 0 for _, end, _, _ in code.co_positions())
+    first, last = code.co_firstlineno, max(filter(None, map(operator.itemgetter(1), code.co_positions())), default=0)
     # Python finds a function's end by its tokens, which takes as long as parsing it twice.
     lines = linecache.getlines(file, function.__globals__)[first - 1 : last]
     lines = [line.rstrip().expandtabs(4) for line in lines or kernels.getsourcelines(function)[0]]

@@ -170,11 +170,11 @@ def lies_at_rim(region: I32Array2, top: i32, left: i32, bottom: i32, right: i32)
     """Whether a surface, or the image, ends in a cell or next to it."""
     ends = top == 0 or left == 0 or bottom == region.shape[0] or right == region.shape[1]
     if not ends:
-        number, differs = region[top, left], _row_of_regions(0)
+        differs = 0
         for y in range(top - 1, bottom + 1):
-            for k in range(CELL_WIDTH):
-                differs[k] |= (region[y, left - 1 + k] ^ number) | (region[y, left + 1 + k] ^ number)
-        ends = differs.max() != 0 or differs.min() != 0
+            for k in range(-1, CELL_WIDTH + 1):
+                differs |= region[y, left + k] ^ region[top, left]
+        ends = differs != 0
     return ends
 
 
