@@ -4,7 +4,6 @@ import gc
 import sys
 from collections.abc import Sequence
 from functools import partial
-from importlib import import_module
 
 from cyclopts import App, Parameter
 from rich.text import Text
@@ -59,9 +58,7 @@ def main() -> None:
 def _run(words: Sequence[str]) -> None:
     app = command_line(words)
     gc.disable()  # nearly all that importing makes stays, and is not to be looked through again and again
-    for name in words[:1]:
-        if name in _COMMANDS:
-            import_module(f"pipeline.cli.{_COMMANDS[name][0]}")
+    app.parse_commands(words)  # imports the command that they name
     gc.freeze()
     gc.enable()
     app(words)
