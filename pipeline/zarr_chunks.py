@@ -29,7 +29,7 @@ def array_metadata(
     dtype: npt.DTypeLike,
     level: int | None,
     axes: Sequence[str] | None = None,
-    fill_value: float | str | bool = 0,
+    fill_value: float | str | None = None,
     attributes: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Return the ``zarr.json`` of an array.
@@ -42,12 +42,8 @@ def array_metadata(
         Of its values; str: text.
     level : int, optional
         Chunks are compressed, faster (1) or smaller (9), or not (None); and checked.
-    axes : sequence of str, optional
-        Their names.
-    fill_value
-        What a chunk that is not there holds; JSON.
-    attributes : dict, optional
-        What it says of itself.
+    axes, fill_value, attributes
+        Names of the axes, the value of a missing chunk (0 or an empty text if it is left out), and the array's labels.
     """
     text = dtype is str
     first: dict[str, Any] = {"name": "vlen-utf8", "configuration": {}} if text else {"name": "bytes"}
@@ -63,7 +59,7 @@ def array_metadata(
         "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": chunk}},
         # Without folders of their own: three folders a chunk otherwise.
         "chunk_key_encoding": {"name": "default", "configuration": {"separator": "."}},
-        "fill_value": fill_value,
+        "fill_value": ("" if text else np.dtype(dtype).type(0).item()) if fill_value is None else fill_value,
         "codecs": [*codecs, {"name": "crc32c"}],
         "attributes": attributes or {},
         **({} if axes is None else {"dimension_names": axes}),

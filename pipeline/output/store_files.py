@@ -250,26 +250,17 @@ def new_metadata(
     lengths, files = _axis_lengths(size_px), dict[str, bytes]()
     for name in (*fields, DONE):
         axes, dtype = _axes(name), np.dtype(np.uint8 if name == DONE else FIELDS[name].dtype)
-        shape = tuple(lengths[axis] for axis in axes)
-        array = array_metadata(
-            (n_frames, *shape),
-            (1, *shape),
-            dtype,
-            None if name == DONE else LEVEL,
-            ("frame", *axes),
-            fill_value=_BLANK if name == DONE else "NaN" if dtype.kind == "f" else dtype.type(0).item(),
-            attributes=_described(name, attributes, timed=times is not None),
-        )
+        shape, level = tuple(lengths[axis] for axis in axes), None if name == DONE else LEVEL
+        fill_value = _BLANK if name == DONE else "NaN" if dtype.kind == "f" else None
+        about_it = _described(name, attributes, timed=times is not None)
+        array = array_metadata((n_frames, *shape), (1, *shape), dtype, level, ("frame", *axes), fill_value, about_it)
         files[f"{name}/{_METADATA}"] = as_text(array)
     for name, (axes, values, about_it) in coordinates.items():
-        if values.dtype.kind == "O":
-            array = array_metadata(values.shape, values.shape, str, None, axes, "", about_it)
-            chunk = encode_texts(values.tolist())
-        else:
-            fill_value = values.dtype.type(0).item()
-            array = array_metadata(values.shape, values.shape, values.dtype, LEVEL, axes, fill_value, about_it)
-            chunk = encode_chunk(values, LEVEL)
-        files[f"{name}/{_METADATA}"], files[f"{name}/{_VALUES}"] = as_text(array), chunk
+        is_text = values.dtype.kind == "O"
+        level, shape = None if is_text else LEVEL, values.shape
+        array = array_metadata(shape, shape, str if is_text else values.dtype, level, axes, attributes=about_it)
+        files[f"{name}/{_METADATA}"] = as_text(array)
+        files[f"{name}/{_VALUES}"] = encode_texts(values.tolist()) if is_text else encode_chunk(values, LEVEL)
     about = group_metadata({**labels, **attributes})
     about["attributes"][_CHECKSUM] = _digest(about, files)
     return {**files, _METADATA: as_text(about)}
