@@ -117,6 +117,14 @@ def read_blocks(
     return Blocks(root[shown], order[shown], place, *seen, number[held], patch[held], share, ripple)
 
 
+def change_by_cycle(blocks: Blocks) -> float:
+    """Return the median change of the contrast's logarithm from a cycle to the next one; 0 where none is seen."""
+    sort = np.lexsort((blocks.order, blocks.place[:, 1], blocks.root))
+    same = (np.diff(blocks.root[sort]) == 0) & (np.diff(blocks.place[sort, 1]) == 0)
+    changes = np.abs(np.diff(blocks.contrast[sort]))[same & (np.diff(blocks.order[sort]) == 1)]
+    return float(np.median(changes)) if len(changes) else 0.0
+
+
 def _ripple(values: FloatArray, of: Integers, mean: FloatArray, contrast: FloatArray) -> FloatArray:
     """Return how much cosine and sine of three times the phase are in the contrast's logarithm.
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from support.coded_blocks import WIDTH, grid
 
-from pipeline.orders.code_blocks import read_blocks
+from pipeline.contrast_code import ContrastCode
+from pipeline.orders.code_blocks import change_by_cycle, read_blocks
 from tikernels.order_evidence.contrast_reading import BACKGROUND, BLOCKS, MODULATION, SUMS
 
 CONTRAST = np.array([0.8, 1.0, 0.7, 0.9, 0.75])
@@ -160,3 +161,14 @@ def test_blocks_belong_to_the_patches_parts():
 def test_no_cycles_at_all():
     blocks = read(np.zeros((12, SLOTS, BLOCKS, SUMS), np.float32))
     assert len(blocks.order) == len(blocks.patch) == 0 and blocks.place.shape == (0, 2)
+    assert change_by_cycle(blocks) == 0.0
+
+
+def test_a_plain_pattern_changes_less_than_the_code_under_any_response():
+    """Half of what the code changes by at least is far from both."""
+    assert change_by_cycle(read(sums_of())) == pytest.approx(np.median(np.abs(np.diff(np.log(CONTRAST)))), abs=1e-5)
+    least = ContrastCode.named("contrast").least_change
+    shaded = np.exp(0.01 * np.arange(12.0))
+    assert change_by_cycle(read(sums_of(shaded))) < least / 2
+    for levels in ContrastCode.named("contrast").levels()[..., 0]:
+        assert change_by_cycle(read(sums_of(np.exp(levels[20:40].astype(np.float64))))) > 0.8 * least
