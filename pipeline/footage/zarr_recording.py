@@ -1,11 +1,11 @@
 """Recordings in a Zarr group, a chunk per frame, as a source of frames; `recording.zarr_writer` writes them."""
 
-import json
 import os
 import re
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -84,14 +84,18 @@ class ZarrRecording:
     is_recording = True
 
     def __init__(self, path: Path, says: StoredAs) -> None:
+        import zarr  # slow to import, and only needed here
+
         self.name = str(path)
         self._path = path
         try:
-            # Which no recording makes long.
-            group, array = (json.loads(read_text(path / name / "zarr.json")) for name in ("", FRAMES))
-            about, shape, dtype = group["attributes"][ATTRIBUTE], tuple(array.get("shape", ())), array.get("data_type")
-            version = about["version"]
-        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+            for head in (path / "zarr.json", path / FRAMES / "zarr.json"):
+                read_text(head)  # which no recording makes long
+            # Arrays of an older format may name codecs that run what they hold.
+            group: Any = zarr.open_group(path, mode="r", zarr_format=3)
+            about = group.attrs[ATTRIBUTE]
+            version, array = about["version"], group.get(FRAMES)
+        except Exception:  # zarr checks little of what a damaged file says, and fails in many ways
             raise FootageError(
                 f"{path} is not a recording of frames: give a video, a folder of pictures or a recording"
             ) from None
@@ -105,11 +109,11 @@ class ZarrRecording:
             sensor = None if said is None else build(SensorPart, said, ValueError, "sensor")
             tags = RecordingTags(rate_of(about["rate_hz"]), about["transfer"], bayer, int(about["bits"]), sensor)
             format = PixelFormat(layout, tags.bits, **({"bayer": bayer} if layout == "bayer" else {}))
-            self._n_frames, height, width = (int(size) for size in shape[:3])
+            self._n_frames, height, width = (int(size) for size in array.shape[:3])
             (self._shape,) = format.plane_shapes(height, width)
             self._dtype = np.dtype(format.dtype)
-            if shape[1:] != self._shape or dtype != self._dtype.name:
-                raise ValueError(f"its frames have shape {shape[1:]} {dtype}")
+            if array.shape[1:] != self._shape or array.dtype != self._dtype:
+                raise ValueError(f"its frames have shape {array.shape[1:]} {array.dtype}")
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise FootageError(f"{path} is damaged: {error}") from None
         if self._n_frames == 0:

@@ -236,7 +236,7 @@ def write_frame(
 
     # Storing is compressing and writing, beside which the mesh is made; the picture is made while the mesh is written.
     # Nothing is imported beside: Python 3.11 fails where two threads parse source at once, as compiling a kernel does.
-    import numcodecs  # noqa: F401 - so that the thread does not
+    import zarr  # noqa: F401 - so that the thread does not
 
     with ThreadPoolExecutor(1, "beside") as beside:
         tell("meshing and storing")

@@ -42,14 +42,11 @@ from pipeline.footage.opening import FrameTimes
 from pipeline.limits import MOST_FRAMES, check_size, read_plain
 from pipeline.output.store_model import ArraySays, GroupSays, StoreAttributes, parsed
 from pipeline.zarr_chunks import (
-    array_metadata,
-    as_text,
+    CHUNK_KEYS,
     chunk_bytes,
+    chunk_codecs,
     chunk_key,
     decode_chunk,
-    encode_chunk,
-    encode_texts,
-    group_metadata,
     with_checksum,
     without_checksum,
 )
@@ -245,25 +242,49 @@ def new_metadata(
     times : FrameTimes, optional
         When they were taken, where that is known.
     """
+    import zarr  # slow to import, and only needed here
+
     coordinates = _coordinates(attributes, fields, n_frames, size_px, times)
     labels = {**dataset_labels(attributes.get("colorphase_version")), "coordinates": " ".join(coordinates)}
-    lengths, files = _axis_lengths(size_px), dict[str, bytes]()
+    lengths = _axis_lengths(size_px)
+    held: dict[str, Any] = {}
+    group = zarr.create_group(zarr.storage.MemoryStore(held), attributes={**labels, **attributes})
     for name in (*fields, DONE):
-        axes, dtype = _axes(name), np.dtype(np.uint8 if name == DONE else FIELDS[name].dtype)
-        shape, level = tuple(lengths[axis] for axis in axes), None if name == DONE else LEVEL
-        fill_value = _BLANK if name == DONE else "NaN" if dtype.kind == "f" else None
-        about_it = _described(name, attributes, timed=times is not None)
-        array = array_metadata((n_frames, *shape), (1, *shape), dtype, level, ("frame", *axes), fill_value, about_it)
-        files[f"{name}/{_METADATA}"] = as_text(array)
+        axes = _axes(name)
+        dtype = np.dtype(np.uint8 if name == DONE else FIELDS[name].dtype)
+        fill = _BLANK if name == DONE else np.nan if dtype.kind == "f" else 0
+        shape = tuple(lengths[axis] for axis in axes)
+        group.create_array(
+            name,
+            shape=(n_frames, *shape),
+            chunks=(1, *shape),
+            dtype=dtype,
+            fill_value=fill,
+            compressors=chunk_codecs(None if name == DONE else LEVEL),
+            chunk_key_encoding=CHUNK_KEYS,
+            dimension_names=("frame", *axes),
+            attributes=_described(name, attributes, timed=times is not None),
+        )
     for name, (axes, values, about_it) in coordinates.items():
         is_text = values.dtype.kind == "O"
-        level, shape = None if is_text else LEVEL, values.shape
-        array = array_metadata(shape, shape, str if is_text else values.dtype, level, axes, attributes=about_it)
-        files[f"{name}/{_METADATA}"] = as_text(array)
-        files[f"{name}/{_VALUES}"] = encode_texts(values.tolist()) if is_text else encode_chunk(values, LEVEL)
-    about = group_metadata({**labels, **attributes})
+        array = group.create_array(
+            name,
+            shape=values.shape,
+            chunks=values.shape,
+            dtype=str if is_text else values.dtype,
+            fill_value="" if is_text else 0,
+            compressors=chunk_codecs(None if is_text else LEVEL),
+            chunk_key_encoding=CHUNK_KEYS,
+            dimension_names=axes,
+            attributes=about_it,
+            # A chunk that is all 0 is stored, too: one that is missing has been lost.
+            config={"write_empty_chunks": True},
+        )
+        array[:] = values
+    files = {key: content.to_bytes() for key, content in held.items() if key != _METADATA}
+    about = json.loads(held[_METADATA].to_bytes())
     about["attributes"][_CHECKSUM] = _digest(about, files)
-    return {**files, _METADATA: as_text(about)}
+    return {**files, _METADATA: _text(about)}
 
 
 def _coordinates(
@@ -349,7 +370,7 @@ def read_metadata(files: StoreFiles) -> Metadata | None:
     except (FileNotFoundError, NotADirectoryError) as error:
         raise DamageError(f"{files.name}: the metadata of an array is missing ({error})") from None
     about = json.loads(content)
-    if about["attributes"].get(_CHECKSUM) != _digest(about, held) or content != as_text(about):
+    if about["attributes"].get(_CHECKSUM) != _digest(about, held) or content != _text(about):
         raise DamageError(f"{files.name}: its metadata is not what was written")
     shapes = {name: array.shape for name, array in arrays.items() if name not in coordinates}
     size_px = _checked_size(files.name, shapes)
@@ -431,11 +452,15 @@ def _holds_marks(files: StoreFiles) -> bool:
         return False
 
 
+def _text(about: dict[str, Any]) -> bytes:
+    return json.dumps(about, indent=2).encode()
+
+
 def _digest(about: dict[str, Any], files: Mapping[str, bytes]) -> str:
     """Return the checksum of the group's metadata and of other files, by their keys."""
     attributes = {name: value for name, value in about["attributes"].items() if name != _CHECKSUM}
     content = (files[key] for key in sorted(files))
-    return hashlib.sha256(b"\n".join([as_text({**about, "attributes": attributes}), *content])).hexdigest()
+    return hashlib.sha256(b"\n".join([_text({**about, "attributes": attributes}), *content])).hexdigest()
 
 
 class OtherFrame(DamageError):

@@ -11,13 +11,15 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from pipeline.errors import DamageError, FootageError, OutputError
 from pipeline.files import LEFTOVER, explain, replace_file, sync
 from pipeline.footage.zarr_recording import ATTRIBUTE, FRAMES, VERSION, RecordingTags
 from pipeline.limits import MOST_FRAMES, read_text
 from pipeline.locking import locked
 from pipeline.models import ImageArray
-from pipeline.zarr_chunks import array_metadata, as_text, chunk_key, encode_chunk, group_metadata
+from pipeline.zarr_chunks import CHUNK_KEYS, chunk_codecs, chunk_key, encode_chunk
 from tikernels.raw.pixel_format import PixelFormat
 
 #: What a recording's name has before its ending until it is finished.
@@ -48,6 +50,8 @@ class ZarrWriter:
     """
 
     def __init__(self, path: Path, size_px: tuple[int, int], format: PixelFormat, tags: RecordingTags) -> None:
+        import zarr  # slow to import, and only needed here
+
         about: dict[str, Any] = {
             "version": VERSION,
             "layout": format.layout,
@@ -59,14 +63,19 @@ class ZarrWriter:
         if tags.sensor is not None:
             about["sensor"] = tags.sensor.model_dump(mode="json")
         (shape,) = format.plane_shapes(size_px[1], size_px[0])
-        path.mkdir(parents=True)
+        group = zarr.open_group(path, mode="w-", attributes={ATTRIBUTE: about})
+        group.create_array(
+            FRAMES,
+            shape=(0, *shape),
+            chunks=(1, *shape),
+            dtype=np.dtype(format.dtype),
+            compressors=chunk_codecs(_LEVEL),
+            chunk_key_encoding=CHUNK_KEYS,
+        )
+        sync(path / FRAMES, path / "zarr.json", path, path.parent)
         self._folder = path / FRAMES
-        self._folder.mkdir()
         self._metadata = self._folder / "zarr.json"
-        self._says = array_metadata((0, *shape), (1, *shape), format.dtype, _LEVEL)
-        (path / "zarr.json").write_bytes(as_text(group_metadata({ATTRIBUTE: about})))
-        self._metadata.write_bytes(as_text(self._says))
-        sync(self._folder, path / "zarr.json", path, path.parent)
+        self._says = json.loads(self._metadata.read_bytes())
         self.n_frames = 0  # of those committed
 
     def write(self, number: int, frame: ImageArray) -> int:
@@ -80,9 +89,9 @@ class ZarrWriter:
 
     def commit(self, n_frames: int) -> None:
         """Make the array end with what has been written, on the disk: first the chunks' names, then its length."""
-        self._says["shape"] = (n_frames, *self._says["shape"][1:])
+        self._says["shape"][0] = n_frames
         sync(self._folder)
-        replace_file(self._metadata, as_text(self._says), safe=True)
+        replace_file(self._metadata, json.dumps(self._says, indent=2).encode(), safe=True)
         sync(self._folder)
         self.n_frames = n_frames
 
