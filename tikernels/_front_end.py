@@ -21,12 +21,9 @@ contexts: Any = importlib.import_module("taichi.lang.ast.ast_transformer_utils")
 kernels: Any = importlib.import_module("taichi.lang.kernel_impl")
 implementation: Any = importlib.import_module("taichi.lang.impl")
 transformer: Any = importlib.import_module("taichi.lang.ast.ast_transformer").ASTTransformer
-matrices: Any = importlib.import_module("taichi.lang.matrix_ops")
 
 _transform: Any = kernels.transform_tree
 _build_attribute: Any = transformer.build_Attribute
-_sum_by_nodes: Any = matrices.sum
-_matmul_by_nodes: Any = matrices.matmul
 
 
 def read_sooner() -> None:
@@ -37,7 +34,6 @@ def read_sooner() -> None:
     transformer.build_Attribute, transformer.build_Name = staticmethod(_attribute), staticmethod(_name)
     contexts.Builder.__call__ = _visit
     contexts.ASTTransformerContext.get_pos_info = _place
-    matrices.sum, matrices.matmul = _sum, _matmul
 
 
 def _inside_class(level_of_class_stackframe: int) -> bool:
@@ -112,32 +108,6 @@ def _name(context: Any, node: Any) -> Any:
     """Do what `build_Name` does, which notes the place in what is read as well."""
     node.ptr = context.get_var_by_name(node.id)
     return node.ptr
-
-
-def _elements(matrix: Any) -> list[Any]:
-    """Return the elements of a vector or matrix of the kernel that is read, row by row."""
-    pointer = implementation.expr_init(matrix).ptr
-    builder = implementation.get_runtime().compiling_callable.ast_builder()
-    return [implementation.Expr(element) for element in builder.expand_exprs([pointer])]
-
-
-@functools.wraps(_sum_by_nodes)
-def _sum(matrix: Any) -> Any:
-    """Do what Taichi's `sum` does, which is in the kernel language, so that its nodes are visited at each call."""
-    if not implementation.inside_kernel():
-        return _sum_by_nodes(matrix)
-    return functools.reduce(operator.add, _elements(matrix))
-
-
-@functools.wraps(_matmul_by_nodes)
-def _matmul(matrix: Any, vector: Any) -> Any:
-    """Do what Taichi's `matmul` does, which is in the kernel language, too."""
-    shapes = matrix.get_shape(), vector.get_shape()
-    if not implementation.inside_kernel() or len(shapes[0]) != 2 or shapes[0][1:] != shapes[1]:
-        return _matmul_by_nodes(matrix, vector)
-    factors, rows = _elements(vector), iter(_elements(matrix))  # a row is taken for all factors
-    sums = [functools.reduce(operator.add, map(operator.mul, factors, rows)) for _ in range(shapes[0][0])]
-    return implementation.expr_init(implementation.make_matrix(sums))
 
 
 def _attribute(context: Any, node: Any) -> Any:
