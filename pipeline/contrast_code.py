@@ -79,6 +79,11 @@ class ContrastCode:
         return float(self.contrasts.mean())
 
     @property
+    def least_change(self) -> float:
+        """The median change of the contrast's logarithm from a cycle to the next one, under the flattest response."""
+        return float(np.median(np.abs(np.diff(self.levels(), axis=1)), axis=(1, 2)).min())
+
+    @property
     def repeats_px(self) -> float:
         """After how many projector px along the stripe the code is the same again; 1 where it does not change."""
         return 1.0 if self.cell_px is None else self.cell_px * self.contrasts.shape[1]

@@ -278,7 +278,7 @@ class Decoder:
         corrected, lost = self._orders.refine(seen, work.raw_phase, regions, orders, placement.shift_px, out=rows)
         if corrected:
             work.smoother.along(work.raw_phase, phases.precision, rates, out=work.fitted_phase)
-            follow_phase(rows.region, work.fitted_phase, out=(work.phase, rows.unwrapped))
+            follow_phase(work.fitted_phase, work.phase, out=rows.unwrapped)
         light_and_phase = (work.brightness, phases.modulation, work.phase)
         leave_out_strangers(*light_and_phase, out=(rows.unwrapped, rows.mask, rows.region))
         # What smoothing and unwrapping had no place for at the rims, each pixel by itself.

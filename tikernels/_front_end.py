@@ -10,6 +10,8 @@ import ast
 import functools
 import importlib
 import inspect
+import linecache
+import operator
 import sys
 import textwrap
 import traceback
@@ -29,7 +31,7 @@ def read_sooner() -> None:
     kernels._inside_class = _inside_class
     kernels._get_tree_and_ctx = _tree_and_context
     kernels.transform_tree = _transform_once
-    transformer.build_Attribute = staticmethod(_attribute)
+    transformer.build_Attribute, transformer.build_Name = staticmethod(_attribute), staticmethod(_name)
     contexts.Builder.__call__ = _visit
     contexts.ASTTransformerContext.get_pos_info = _place
 
@@ -46,11 +48,14 @@ def _inside_class(level_of_class_stackframe: int) -> bool:
 
 def _parse(function: Any) -> tuple[ast.Module, list[str], int, str]:
     """Return a function's tree without decorators, its lines, the number of the first one, and its file."""
-    lines, first = kernels.getsourcelines(function)
-    lines = [line.rstrip().expandtabs(4) for line in lines]
+    code, file = function.__code__, kernels.getsourcefile(function)
+    first, last = code.co_firstlineno, max(filter(None, map(operator.itemgetter(1), code.co_positions())), default=0)
+    # Python finds a function's end by its tokens, which takes as long as parsing it twice.
+    lines = linecache.getlines(file, function.__globals__)[first - 1 : last]
+    lines = [line.rstrip().expandtabs(4) for line in lines or kernels.getsourcelines(function)[0]]
     tree = ast.parse(textwrap.dedent("\n".join(lines)))
     tree.body[0].decorator_list = []  # type: ignore[attr-defined]
-    return tree, lines, first, kernels.getsourcefile(function)
+    return tree, lines, first, file
 
 
 _parsed = functools.cache(_parse)
@@ -99,15 +104,34 @@ def _transform_once(tree: Any, context: Any) -> Any:
         tree.in_use = False
 
 
+def _name(context: Any, node: Any) -> Any:
+    """Do what `build_Name` does, which notes the place in what is read as well."""
+    node.ptr = context.get_var_by_name(node.id)
+    return node.ptr
+
+
 def _attribute(context: Any, node: Any) -> Any:
     """Do what `build_Attribute` does, which notes the vector whose method is called, but not that none is."""
     vars(node).pop("caller", None)
     return _build_attribute(context, node)
 
 
+@functools.cache
+def _builder(kind: type[ast.AST]) -> Any:
+    """Return what transforms nodes of a kind."""
+    method = getattr(transformer, "build_" + kind.__name__, None)
+    if method is None:
+        raise contexts.TaichiSyntaxError(f'Unsupported node "{kind.__name__}"')
+    return method
+
+
 def _place(self: Any, node: Any) -> str:
-    """Return where a node is, without a drawing of its line."""
-    return f'File "{self.file}", line {node.lineno + self.lineno_offset}, in {self.func.func.__name__}:\n'
+    """Return where a node is, without a drawing of its line; noted in the node."""
+    place: str | None = vars(node).get("place")
+    if place is None:
+        place = f'File "{self.file}", line {node.lineno + self.lineno_offset}, in {self.func.func.__name__}:\n'
+        node.place = place
+    return place
 
 
 def _visit(self: Any, context: Any, node: Any) -> Any:
@@ -116,10 +140,7 @@ def _visit(self: Any, context: Any, node: Any) -> Any:
     visible = isinstance(node, (ast.stmt, ast.expr))
     places.append(context.get_pos_info(node) if visible else "")
     try:
-        method = getattr(self, "build_" + node.__class__.__name__, None)
-        if method is None:
-            raise contexts.TaichiSyntaxError(f'Unsupported node "{node.__class__.__name__}"')
-        return method(context, node)
+        return _builder(node.__class__)(context, node)
     except Exception as error:
         if implementation.pytaichi.print_full_traceback:
             raise

@@ -1,20 +1,18 @@
 """One frame, decoded into a folder with its mesh, pictures and report: a picture, or one that is simulated."""
 
-import warnings
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from pipeline.batch.job import Crop, with_transfer_of
+from pipeline.batch.job import with_transfer_of
 from pipeline.calibration import Calibration
 from pipeline.decoder import Decoder
 from pipeline.decoding.frame import DecodedFrame
-from pipeline.errors import CalibrationError, DecodeWarning, FootageError, RenderError
+from pipeline.errors import FootageError, RenderError
 from pipeline.footage.opening import open_source
-from pipeline.footage.source import BadFrame, StoredAs, StoredFrame
+from pipeline.footage.source import BadFrame, StoredAs
 from pipeline.output.folder import output_folder, write_frame
 from pipeline.output.range_image import write_png
 from pipeline.output.render import render_mesh
@@ -23,14 +21,7 @@ from pipeline.output.surface_mesh import MeshOptions, frame_mesh
 from pipeline.settings import DecodeSettings
 from pipeline.simulation import SimulationSettings, own_calibration, simulate_frame, simulated_truth
 from tikernels import runtime
-from tikernels.errors import ShapeError
 from tikernels.raw.development import develop
-
-# Px; of a picture that is larger the kernels are compiled by a part, which takes a tenth of a second more, so that who
-# waits sees what for.
-_LARGE_PX = 2_000_000
-_PART_PX = (640, 480)
-_COME_UP_AGAIN = (FootageError, CalibrationError, ShapeError)
 
 
 def decode_picture(
@@ -94,13 +85,7 @@ def decode_picture(
         (stored,) = source.frames()
         if isinstance(stored, BadFrame):
             raise FootageError(stored.reason)
-        width, height = source.size_px
-        if width * height > _LARGE_PX:
-            tell("compiling kernels")
-            _compile_kernels(stored, settings, calibration, arch)
-            tell(f"decoding {width}x{height} px")
-        else:
-            tell(f"compiling kernels, and decoding {width}x{height} px")
+        tell("compiling kernels, and decoding {}x{} px".format(*source.size_px))
         decoder = Decoder(settings, calibration, arch=arch)
         frame = decoder.decode(develop(stored.planes, stored.format, stripes=settings.stripes))
         if not frame.mask.any():  # a warning has said why
@@ -110,20 +95,6 @@ def decode_picture(
         write_frame(folder, frame, settings, calibration, report, part, tell, remark)
         tell(f"moving all into {out}")
     return frame, source.notes
-
-
-def _compile_kernels(stored: StoredFrame, settings: DecodeSettings, calibration: Calibration | None, arch: str) -> None:
-    """Compile what a picture's decoding takes, by a part in its middle; what is wrong with it comes up afterwards."""
-    height, width = stored.planes[0].shape[:2]
-    # At whole cells of a mosaic, and at whole samples of colour, which are up to four pixels apart.
-    x, y = (max(0, (side - part) // 2) // 4 * 4 for side, part in zip((width, height), _PART_PX, strict=True))
-    part = Crop(x, y, min(_PART_PX[0], width), min(_PART_PX[1], height))
-    rig = None if calibration is None else calibration.cropped(part.x, part.y, (part.width, part.height))
-    with warnings.catch_warnings(), suppress(*_COME_UP_AGAIN):
-        warnings.simplefilter("ignore", DecodeWarning)
-        planes, format = part.of(stored.planes, stored.format)
-        frame = Decoder(settings, rig, arch=arch).decode(develop(planes, format, stripes=settings.stripes))
-        frame.fetch(("range_image", "phase_sigma"))
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """The command line: its commands, one file a family, each imported when it is called."""
 
+import gc
 import sys
 from collections.abc import Sequence
 from functools import partial
@@ -51,5 +52,13 @@ def command_line(words: Sequence[str]) -> App:
 
 def main() -> None:
     """Run the command that the program was called with."""
-    words = sys.argv[1:]
-    run(partial(command_line(words), words))
+    run(partial(_run, sys.argv[1:]))
+
+
+def _run(words: Sequence[str]) -> None:
+    app = command_line(words)
+    gc.disable()  # nearly all that importing makes stays, and is not to be looked through again and again
+    app.parse_commands(words)  # imports the command that they name
+    gc.freeze()
+    gc.enable()
+    app(words)

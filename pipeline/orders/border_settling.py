@@ -12,7 +12,7 @@ wall three quarters, and as much is right.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -58,6 +58,10 @@ class SettledBorders:
     def none(cls, roots: npt.NDArray[np.int32]) -> "SettledBorders":
         """Return borders of which nothing tells more."""
         return cls(roots, np.zeros(len(roots), np.int64), np.zeros(len(roots), np.bool_))
+
+
+#: Absolute orders and parts of all patches, (P,) each.
+_Placing: TypeAlias = tuple[npt.NDArray[np.integer], npt.NDArray[np.integer]]
 
 
 class _Levels(NamedTuple):
@@ -150,21 +154,27 @@ def settle_borders(
         How probably that is wrong. A part that is probably misplaced takes no patches; orders that are not
         certain are flagged anyway, and their patches not torn.
     """
-    if graph.borders is None:
+    borders, count = graph.borders, len(roots)
+    if borders is None or not (borders.going_on[_apart(borders, roots)] >= _SOME_PX).any():
         return SettledBorders.none(roots)
-    borders, parts, blocks, count = graph.borders, _Parts(reader, lacks), reader.blocks, len(roots)
+    parts, blocks = _Parts(reader, lacks), reader.blocks
     own, shown = parts.own, np.bincount(blocks.patch, blocks.share, count)  # blocks of each patch
     orders, roots, torn = graph.offset + lacks, roots.copy(), np.zeros(count, np.bool_)
     for part, other, change, seeds in _going_on(borders, orders, roots, _SOME_PX):
         if errors[other] > _MOST_ERROR or not {part, other} <= parts.factors.keys():
             continue
-        inside = roots == part
-        held, there, against = parts.judge(inside, other, orders - graph.offset + change)
+        inside, lacking = roots == part, orders - graph.offset + change
+        seeds = seeds[inside[seeds]]
+        against = parts.judge(np.bincount(seeds, minlength=count) > 0, other, lacking)[2]
+        seeds = seeds[(against[seeds] < 0) | (shown[seeds] < _MIN_SHOWN)]
+        if len(seeds) == 0:  # nor is the rest of the part asked
+            continue
+        held, there, against = parts.judge(inside, other, lacking)
         for clump in _clumps(graph, inside & ((against < 0) | (shown < _MIN_SHOWN)), seeds):
             then = np.where(clump, orders + change, orders), np.where(clump, other, roots)
             moved = np.flatnonzero(clump[blocks.patch[held]])
             gain = own.of(held[moved]).cost_together() - there.of(moved).cost_together()
-            gain += _border_cost(borders, clump, orders, roots) - _border_cost(borders, clump, *then)
+            gain += _border_gain(borders, clump, (orders, roots), then)
             if gain > _MIN_GAIN and 2 * graph.pixels[clump].sum() < graph.pixels[inside].sum():
                 (orders, roots), inside = then, inside & ~clump
                 for before, after in zip(own, there.of(moved), strict=True):
@@ -173,12 +183,17 @@ def settle_borders(
         if {part, other} <= parts.factors.keys():
             asked = np.bincount(seeds, minlength=count) > 0
             torn |= asked & (parts.judge(asked, other, orders - graph.offset + change)[2] < _UNDECIDED)
-    touching = (roots[borders.ends[0]] != roots[borders.ends[1]]) & (borders.going_on > _SOME_PX)
+    touching = _apart(borders, roots) & (borders.going_on > _SOME_PX)
     beside = np.bincount(borders.ends[:, touching].ravel(), minlength=count) > 0
     contradicted = np.bincount(blocks.patch, own.cost(), count) > 0.5 * _CONTRADICTS * _COUNTS * shown
     torn |= beside & (shown > _WELL_SHOWN) & contradicted
     known = errors[roots] < MAX_ABSOLUTE_ERROR
     return SettledBorders(roots.astype(np.int32), orders - graph.offset - lacks[roots], torn & known)
+
+
+def _apart(borders: Borders, roots: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_]:
+    """Return which borders lie between two parts."""
+    return np.asarray(roots[borders.ends[0]] != roots[borders.ends[1]])
 
 
 def _going_on(
@@ -204,22 +219,20 @@ def _going_on(
 
 
 def _clumps(graph: PatchGraph, members: npt.NDArray[np.bool_], seeds: Integers) -> Iterator[npt.NDArray[np.bool_]]:
-    """Find the clumps of members that hang together and hold a seed, (P,) bool each."""
-    seeds = seeds[members[seeds]]
-    if len(seeds) == 0:
-        return
+    """Find the clumps of members that hang together and hold a seed, which are members, (P,) bool each."""
     within = members[graph.ends[0]] & members[graph.ends[1]]
     pieces = connected_parts(graph.ends[:, within], len(members))
     for piece in np.unique(pieces[seeds]):
         yield members & (pieces == piece)
 
 
-def _border_cost(
-    borders: Borders, clump: npt.NDArray[np.bool_], orders: npt.NDArray[np.integer], roots: npt.NDArray[np.integer]
-) -> float:
-    """Return what the borders of a clump's patches cost, with these absolute orders and parts."""
+def _border_gain(borders: Borders, clump: npt.NDArray[np.bool_], before: _Placing, then: _Placing) -> float:
+    """Return by how much less the borders of a clump's patches cost then than before."""
     touching = np.flatnonzero(clump[borders.ends[0]] | clump[borders.ends[1]])
-    low, high = borders.ends[:, touching]
-    whole = (roots[low] == roots[high]) & (orders[high] - orders[low] == borders.shift[touching])
-    px = np.where(whole, _STEPPING_COST * borders.stepping[touching], _GOING_ON_COST * borders.going_on[touching])
-    return float(px.sum())
+    (low, high), shift = borders.ends[:, touching], borders.shift[touching]
+    wholly, apart = _STEPPING_COST * borders.stepping[touching], _GOING_ON_COST * borders.going_on[touching]
+    costs = [
+        np.where((roots[low] == roots[high]) & (orders[high] - orders[low] == shift), wholly, apart).sum()
+        for orders, roots in (before, then)
+    ]
+    return float(costs[0] - costs[1])

@@ -18,7 +18,6 @@ from tikernels.order_evidence.contrast_reading import (
     BLOCKS,
     COSINE,
     MODULATION,
-    ORDER_SLOTS,
     PHASE,
     SUMS,
     TOTAL,
@@ -66,7 +65,7 @@ def read_blocks(
 
     Parameters
     ----------
-    sums : (P, ORDER_SLOTS, BLOCKS, SUMS) float32
+    sums : (P, slots, BLOCKS, SUMS) float32
         What `measure_contrast` summed.
     graph : PatchGraph
         The patches, joined to regions, or to parts of them.
@@ -77,42 +76,53 @@ def read_blocks(
     ripple : (2,) float, optional
         The ripple, if the frame's blocks were read before; see `Blocks`.
     """
+    slots = sums.shape[1]
     piece = np.flatnonzero(sums[..., TOTAL] > 0)
-    patch = piece // (ORDER_SLOTS * BLOCKS)
-    slot, block = piece // BLOCKS % ORDER_SLOTS, piece % BLOCKS
+    patch = piece // (slots * BLOCKS)
+    slot, block = piece // BLOCKS % slots, piece % BLOCKS
     row, column = graph.first // width // CELL_HEIGHT, graph.first % width // CELL_WIDTH * BLOCKS
     # A cycle that a cell's border cuts is put together again: numbers of its pieces, one a row, follow each other.
     least, rows = graph.offset.min(initial=0), row.max(initial=0) + 2
-    orders = graph.offset.max(initial=0) - least + ORDER_SLOTS
+    orders = graph.offset.max(initial=0) - least + slots
     number = graph.root.astype(np.int64) * (column.max(initial=0) + BLOCKS) + column
     number = ((number * orders + graph.offset - least) * rows + row)[patch] + (block * orders + slot) * rows
     sort = np.argsort(number, kind="stable")
     fresh = np.diff(number[sort], prepend=-2) > 1
-    start, of = np.flatnonzero(fresh), np.cumsum(fresh) - 1
-    first = sort[start]
-    root, order = graph.root[patch[first]].astype(np.int64), graph.offset[patch[first]] + slot[first] - ORDER_SLOTS // 2
-    column, patch = column[patch[first]] + block[first], patch[sort]
-    values = sums.reshape(-1, SUMS)[piece[sort]].astype(np.float64)
-    total = np.add.reduceat(values, start, axis=0) if len(start) else np.zeros((0, SUMS))
-    middle = np.bincount(of, values[:, TOTAL] * row[patch], len(start))
-    weight = total[:, TOTAL]
-    shown = np.minimum(total[:, MODULATION], total[:, BACKGROUND]) > 0
-    mean = total / weight[:, None]
-    contrast = np.log(np.where(shown, total[:, MODULATION], 1.0) / np.where(shown, total[:, BACKGROUND], 1.0))
+    of = np.cumsum(fresh) - 1
+    first, patch = sort[fresh], patch[sort]
+    of_first = patch[fresh]
+    root, order = graph.root[of_first].astype(np.int64), graph.offset[of_first] + slot[first] - slots // 2
+    column = column[of_first] + block[first]
+    values = sums.reshape(-1, SUMS).take(piece[sort], axis=0).T.astype(np.float64, order="C")
+    total = np.stack([np.bincount(of, summed, len(first)) for summed in values])
+    middle = np.bincount(of, values[TOTAL] * row[patch], len(first))
+    weight = total[TOTAL]
+    shown = np.minimum(total[MODULATION], total[BACKGROUND]) > 0
+    mean = total / weight
+    contrast = np.log(np.where(shown, total[MODULATION], 1.0) / np.where(shown, total[BACKGROUND], 1.0))
     ripple = _ripple(values, of, mean, contrast) if ripple is None else ripple
-    contrast -= mean[:, COSINE:] @ ripple
+    contrast -= ripple @ mean[COSINE:]
     full = _full_weight(weight, root, order, column)
     contrast += _BLUR / full**2
     shown &= (weight >= _MIN_WEIGHT) & (weight > _MIN_SHARE * full)
-    variance = (_OF_MODULATION / mean[:, MODULATION] ** 2 + _OF_BACKGROUND / mean[:, BACKGROUND] ** 2)[shown]
-    variance *= noise**2 / (_COUNTED * weight[shown])
+    variance = _OF_MODULATION / mean[MODULATION] ** 2 + _OF_BACKGROUND / mean[BACKGROUND] ** 2
+    variance *= noise**2 / (_COUNTED * weight)
     place = np.stack([CELL_HEIGHT * (middle / weight + 0.5), BLOCK_WIDTH * (column + 0.5)], axis=1) - 0.5
-    brightness = (mean[:, MODULATION] + mean[:, BACKGROUND])[shown]
-    seen = contrast[shown], variance, brightness, mean[shown, PHASE] / (2 * np.pi)
+    brightness, off = mean[MODULATION] + mean[BACKGROUND], mean[PHASE] / (2 * np.pi)
+    seen = contrast[shown], variance[shown], brightness[shown], off[shown]
     number = np.where(shown, np.cumsum(shown) - 1, -1)[of]
-    held = number >= 0
-    share = values[held, TOTAL] / weight[of[held]]
-    return Blocks(root[shown], order[shown], place[shown], *seen, number[held], patch[held], share, ripple)
+    held = np.flatnonzero(number >= 0)
+    share = values[TOTAL, held] / weight[of[held]]
+    place = place.compress(shown, axis=0)
+    return Blocks(root[shown], order[shown], place, *seen, number[held], patch[held], share, ripple)
+
+
+def change_by_cycle(blocks: Blocks) -> float:
+    """Return the median change of the contrast's logarithm from a cycle to the next one; 0 where none is seen."""
+    sort = np.lexsort((blocks.order, blocks.place[:, 1], blocks.root))
+    same = (np.diff(blocks.root[sort]) == 0) & (np.diff(blocks.place[sort, 1]) == 0)
+    changes = np.abs(np.diff(blocks.contrast[sort]))[same & (np.diff(blocks.order[sort]) == 1)]
+    return float(np.median(changes)) if len(changes) else 0.0
 
 
 def _ripple(values: FloatArray, of: Integers, mean: FloatArray, contrast: FloatArray) -> FloatArray:
@@ -120,25 +130,29 @@ def _ripple(values: FloatArray, of: Integers, mean: FloatArray, contrast: FloatA
 
     By the pieces of cycles that cells' borders cut: a piece has more or less of them than the whole.
     """
-    counts = values[:, TOTAL] > _MIN_PIECE
-    counts &= np.minimum(values[:, MODULATION], values[:, BACKGROUND]) > 0
-    piece, of = values[counts], of[counts]
-    departs = np.log(piece[:, MODULATION] / piece[:, BACKGROUND]) - contrast[of]
-    waves = piece[:, COSINE:] / piece[:, TOTAL, None] - mean[of, COSINE:]
-    weighted = waves * (piece[:, TOTAL] * (np.abs(departs) < _MOST_RIPPLE))[:, None]
-    share = np.linalg.solve(weighted.T @ waves + _RIPPLE_DOUBT * np.eye(2), weighted.T @ departs)
+    counts = values[TOTAL] > _MIN_PIECE
+    counts &= np.minimum(values[MODULATION], values[BACKGROUND]) > 0
+    piece, of = values.compress(counts, axis=1), of[counts]
+    departs = np.log(piece[MODULATION] / piece[BACKGROUND]) - contrast[of]
+    waves = piece[COSINE:] / piece[TOTAL] - mean[COSINE:].take(of, axis=1)
+    weighted = waves * (piece[TOTAL] * (np.abs(departs) < _MOST_RIPPLE))
+    share = np.linalg.solve(weighted @ waves.T + _RIPPLE_DOUBT * np.eye(2), weighted @ departs)
     return np.asarray(share, np.float64)
 
 
 def _full_weight(weight: FloatArray, root: Integers, order: Integers, column: npt.NDArray[np.integer]) -> FloatArray:
-    """Return what each block would weigh if its cycle were whole (N,): as the longest of those around it does."""
+    """Return what each block would weigh if its cycle were whole (N,): as the longest of those around it does.
+
+    Blocks of a root follow each other.
+    """
     if len(weight) == 0:
         return np.zeros(0)
-    rows, row = np.unique(root * (np.ptp(order) + 1) + order, return_inverse=True)
-    grid, rising = np.zeros((len(rows), column.max() + 1), np.float32), np.argsort(weight)
-    grid[row[rising], column[rising]] = weight[rising]  # of several the largest stays
+    number = np.cumsum(np.diff(root, prepend=root[0]) != 0) * (np.ptp(order) + 1) + order - order.min()
+    rows, columns = np.cumsum(np.bincount(number) > 0), column.max() + 1
+    place, grid = (rows[number] - 1) * columns + column, np.zeros((rows[-1], columns), np.float32)
+    np.maximum.at(grid.reshape(-1), place, weight.astype(np.float32))
     beside = cv2.dilate(grid, np.ones((1, _NEAR_BLOCKS), np.uint8))
     around = cv2.dilate(beside, np.ones((3, 1), np.uint8))
     # A cycle that a surface's edge cuts all along is as long as the next one.
     longest = np.where(beside < _MIN_WHOLE * around, around, beside)
-    return np.asarray(np.maximum(longest[row, column], _MIN_WEIGHT), np.float64)
+    return np.asarray(np.maximum(longest.reshape(-1)[place], _MIN_WEIGHT), np.float64)

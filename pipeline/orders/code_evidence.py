@@ -28,16 +28,18 @@ OF_CYCLE = 2.0
 # Standard deviations of a part's factor: of its slopes (a px), of ambient light's share, and of its middle, about the
 # frame's once that is known.
 _SLOPE, _AMBIENT, _GAIN, _ANY_GAIN = 5e-4, 0.25, 0.08, 0.5
-# A large part's likeliest offsets are found by some of its blocks, and weighed by many.
-_SOME, _LIKELIEST, _MANY = 300, 4, 1200
+# A large part's likeliest offsets are found by some of its blocks, and weighed by many; those of which the logarithm of
+# the likelihood is less by this are no contenders.
+_SOME, _LIKELIEST, _MANY, _CONTENDS = 300, 4, 1200, 30.0
 # Of a part's blocks, those whose orders may lie outside the pattern at either end; and how probably a part shows no
 # code.
 _STRAYS, _NO_CODE = 0.05, 0.1
 # Shifts of half a cell either way that are tried, which share of a cell is too far to be believed, and by how much
 # likelier one far off must be than any other, and than no code at all.
 _SHIFTS, _MOST_SHIFT, _SURE_SHIFT = 13, 0.25, 33.0
-# Where much is tried of the largest parts, so many of their blocks are looked at.
-_FEW = 100
+# Where much is tried of the largest parts, so many of their blocks are looked at; fewer where all offsets are, at many
+# shifts.
+_FEW, _FEWEST = 100, 25
 # By how much likelier than no code, or another one, a frame's largest parts must be to show it (natural logarithm), or
 # less likely not to; and how much that may count for other parts: where the rig has been turned a part of the picture
 # may lie elsewhere. It is plain to see where it is likelier by so much a block.
@@ -49,7 +51,7 @@ _FLATTENED, _AROUND, _CLASSES = 100, (5, 3), 2
 # From so many cycles off its middle on a cycle is cut, and what its neighbours' levels then count, a cycle: half of
 # what they do for the contrast itself, which the levels have softened.
 _OFF, _OF_NEIGHBOURS = 0.02, 0.6
-# Offsets of a part under which responses are compared.
+# Offsets of a part under which responses, or shifts, are compared.
 _NAMED = 3
 # So many of the largest parts tell what all parts of a frame have in common.
 _TELLING = 3
@@ -202,9 +204,9 @@ class CodeReader:
         return self._parts[key]
 
     def _new_part(self, which: Integers) -> PartBlocks:
-        blocks, columns = self.blocks, self.columns[which]
-        place, brightness = blocks.place[which], blocks.brightness[which]
-        middle, usual = place.mean(axis=0), float(np.median(brightness))
+        blocks, columns = self.blocks, self.columns.take(which, axis=0)
+        place, brightness = blocks.place.take(which, axis=0), blocks.brightness[which]
+        middle, usual = np.full(len(which), 1 / len(which)) @ place, float(np.median(brightness))
         values = np.empty((ROWS, len(which)), np.float32)
         values[Row.LEVEL], values[Row.VARIANCE] = blocks.contrast[which], blocks.variance[which]
         values[Row.DOWN : Row.DARKER + 1] = Factor.shape(place, brightness, middle, usual).T[1:]
@@ -275,14 +277,15 @@ class CodeReader:
         shown = _thinned(part.values, _SOME)
         if part.values.shape[1] > _FLATTENED:
             likelihood, _, terms, _ = self._fit(shown, offsets)
-            likely, shown = np.argsort(likelihood)[-_LIKELIEST:], _thinned(part.values, _MANY)
+            near = np.flatnonzero(likelihood > likelihood.max() - _CONTENDS)
+            likely, shown = near[np.argsort(likelihood[near])[-_LIKELIEST:]], _thinned(part.values, _MANY)
             # Each as if what is left of the factor were so by its offset.
             flat = self._flat(part, offsets[likely], terms[:, likely], _AROUND, _step(part.values, _MANY))
             found = self._fit(shown, offsets[likely], level=flat).likelihood
             shown[Row.LEVEL] = flat[found.argmax()]
-            # The others were less likely than any of these.
-            likelihood = np.full(len(offsets), found.min())
-            likelihood[likely] = found
+            # Other contenders were less likely than any of these, and the rest is as far behind as it was.
+            likelihood += found.max() - likelihood.max()
+            likelihood[near], likelihood[likely] = found.min(), found
             without = self._fit_with_even(shown, offsets[:0])
         else:
             without = self._fit_with_even(shown, offsets)
@@ -421,14 +424,19 @@ class CodeReader:
             return None
         shifts, own = np.arange(-0.5, 0.5, 0.25 / WORD_CELLS) * self.code.repeats_px, self._gamma
         totals, counts, self._each_counts = np.zeros((2, len(shifts))), self._each_counts, 1.0
-        for total, self._gamma in zip(totals, (GAMMAS.index(1.0), GAMMAS.index(2.0)), strict=True):
-            for some in self._largest():
-                few, offsets = _thinned(self._part(some).values, _FEW), self.offsets(some)
-                each, further = np.repeat(offsets, len(shifts)), np.tile(shifts, len(offsets))
-                by_offset = self._fit(few, each, shifts_px=further).likelihood.reshape(len(offsets), -1)
+        for some in self._largest():
+            few, offsets = _thinned(self._part(some).values, _FEW), self.offsets(some)
+            # The likeliest offsets hardly depend on the response.
+            each, further = np.repeat(offsets, len(shifts)), np.tile(shifts, len(offsets))
+            likelihood = self._fit(_thinned(few, _FEWEST), each, shifts_px=further).likelihood
+            named = offsets[np.argsort(likelihood.reshape(len(offsets), -1), axis=0)[-_NAMED:]]
+            for total, self._gamma in zip(totals, (GAMMAS.index(1.0), GAMMAS.index(2.0)), strict=True):
+                likelihood = self._fit(few, named.ravel(), shifts_px=np.tile(shifts, len(named))).likelihood
+                by_shift = np.logaddexp.reduce(likelihood.reshape(named.shape), axis=0)
                 even, other, *_ = self._fit_with_even(few, offsets[:0])
-                total += np.logaddexp.reduce(by_offset, axis=0) - np.log(len(offsets)) - np.logaddexp(even, other)
-        total, self._gamma, self._each_counts = totals[totals.max(axis=1).argmax()], own, counts
+                total += by_shift - np.log(len(offsets)) - np.logaddexp(even, other)
+            self._gamma = own
+        total, self._each_counts = totals[totals.max(axis=1).argmax()], counts
         off = np.abs(shifts - shifts[total.argmax()])
         elsewhere = total[np.minimum(off, self.code.repeats_px - off) > self.code.cell_px].max()
         if total.max() - max(elsewhere, 0.0) <= _SURE_SHIFT:

@@ -62,7 +62,7 @@ def find_absolute_orders(
 
     Parameters
     ----------
-    sums : (P, ORDER_SLOTS, BLOCKS, SUMS) float32
+    sums : (P, slots, BLOCKS, SUMS) float32
         What `measure_contrast` summed.
     graph : PatchGraph
         The patches, joined to regions.

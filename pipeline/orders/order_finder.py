@@ -18,6 +18,7 @@ from pipeline.decoding.doubts import CODE_CONTRAST
 from pipeline.decoding.frame import CameraRays, FrameMemory, RegionOrders
 from pipeline.errors import CalibrationError
 from pipeline.orders.carried_orders import MAX_CARRIED_ERROR, CarriedOrders, choose_motion, count_votes, split_by_votes
+from pipeline.orders.code_blocks import change_by_cycle, read_blocks
 from pipeline.orders.coded_orders import CodedOrders, find_absolute_orders
 from pipeline.orders.modulation import measure_ripples
 from pipeline.orders.posterior import MAX_ABSOLUTE_ERROR, NOTHING_KNOWN, AbsoluteOrders, OrderRange
@@ -302,7 +303,11 @@ class OrderFinder:
 
     def shows_a_code(self, seen: SeenPhase, patches: Patches) -> bool:
         """Whether a frame shows a code that neither settings nor calibration state."""
-        graph = patches.graph()
+        graph, width = patches.graph(), int(seen.image.shape[1])
+        blocks = read_blocks(_contrasts(seen, patches), graph, width, seen.noise)
+        # Most frames without a code are recognised here, and need no kernels that read one.
+        if change_by_cycle(blocks) < ContrastCode.named("contrast").least_change / 2:
+            return False
         found = self._find_absolute(seen, patches, graph, None, None)
         absolute = found.absolute
         sure = absolute.error_probability(absolute.offsets) < MAX_ABSOLUTE_ERROR
@@ -319,7 +324,7 @@ class OrderFinder:
     ) -> CodedOrders:
         if self._columns is None and self._geometry is not None and rays is not None:
             self._columns = StripeColumns(self._geometry, runtime.to_host(rays.rays))
-        sums = measure_contrast(seen.image, seen.crosstalk, seen.gains, seen.phase, seen.modulation, patches)
+        sums = _contrasts(seen, patches)
         width, code = int(seen.image.shape[1]), self.code or ContrastCode.named("contrast")
         return find_absolute_orders(
             sums, graph, code, self._columns, width=width, noise=seen.noise, order_range=order_range
@@ -358,6 +363,12 @@ class OrderFinder:
             ends = np.sort([self._geometry.pattern_cycles(z * directions) for z in self._depth_range_mm], axis=0)
             least, most = np.maximum(least, ends[0]), np.minimum(most, ends[1])
         return OrderRange(least - here, most - here, self._depth_range_mm is not None)
+
+
+def _contrasts(seen: SeenPhase, patches: Patches) -> npt.NDArray[np.float32]:
+    """Return what the patches show of each cycle's contrast; see `measure_contrast`."""
+    light = (seen.image, seen.crosstalk, seen.gains)
+    return measure_contrast(*light, seen.phase, seen.modulation, patches, seen.period_px)
 
 
 def _moved(shift_px: float) -> Cause:

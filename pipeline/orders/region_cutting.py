@@ -17,7 +17,6 @@ from pipeline.orders.posterior import Integers, OrderRange
 from pipeline.robust import robust_sigma
 from tikernels.order_evidence.contrast_reading import BLOCKS
 from tikernels.order_evidence.offset_labelling import (
-    Links,
     OffsetEvidence,
     connected_parts,
     pool_evidence,
@@ -164,7 +163,7 @@ def _shown(
     return _Shown(evidence, number, *found)
 
 
-def _labels(shown: _Shown, ends: Integers, support: FloatArray) -> npt.NDArray[np.int32] | None:
+def _labels(shown: _Shown, ends: Integers, support: FloatArray) -> Integers | None:
     """Label a region's patches with the offsets that their blocks name, 0 for the region's own; None: all have that.
 
     The border of a window costs at most half of what the window shows: a surface that is one patch wide has as many
@@ -172,10 +171,9 @@ def _labels(shown: _Shown, ends: Integers, support: FloatArray) -> npt.NDArray[n
     """
     if len(shown.named) == 0:
         return None
-    links = Links.of(ends, len(shown.window))
     candidates = np.append(shown.own, list(dict.fromkeys(shown.named.tolist()))[:_CANDIDATES])
     alone = shown.evidence.of(candidates)
-    first = pool_evidence(alone, links, support).argmin(axis=1)
+    first = pool_evidence(alone, ends, support).argmin(axis=1)
     by_window = np.append(shown.named, -1)[shown.window]
     for label, offset in enumerate(candidates[1:], start=1):
         first[by_window == offset] = label
@@ -185,5 +183,5 @@ def _labels(shown: _Shown, ends: Integers, support: FloatArray) -> npt.NDArray[n
     total = np.bincount(beside.ravel() + 1, np.tile(costs[border], 2), len(shown.named) + 1)
     share = np.append(1.0, np.minimum(1.0, shown.gain / (2 * np.maximum(total[1:], _LABEL_COST))))
     costs[border] *= share[beside + 1].min(axis=0)
-    labels = settle_labels(alone, first, links, costs)
+    labels = settle_labels(alone, first, ends, costs)
     return None if (labels == 0).all() else labels

@@ -420,7 +420,7 @@ _ALL = (
         {"coded_orders:cut_regions": uncut}, "region_cutting:cut_regions offset_labelling"),
     Mechanism("cutting's pooling", "patches pool their evidence with their neighbours'", "pile-small-coded",
         {"region_cutting:pool_evidence": first_argument},
-        "offset_labelling:pool_evidence offset_labelling:pool_evidence_kernel"),
+        "offset_labelling:pool_evidence"),
     Mechanism("cutting's windows", "windows of several sizes show another offset", "pile-small-coded",
         {"region_cutting:_WINDOWS": gives(np.array([[1, 1]]))},
         "offset_labelling:find_other_offsets offset_labelling:scan_windows_kernel offset_labelling:sum_tables_kernel"),

@@ -8,6 +8,7 @@ What part of a cycle has of the ripple is summed, too.
 """
 
 from functools import cache
+from math import ceil
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ from tikernels.phase.surfaces import neutral_light
 from tikernels.raw.linearization import LEVEL_TYPES
 from tikernels.unwrapping.patches import Patches
 from tikernels.unwrapping.tables import (
+    CELL_HEIGHT,
     CELL_WIDTH,
     NOTHING,
     ORDER_BITS,
@@ -35,9 +37,6 @@ from tikernels.unwrapping.tables import (
     patch_number,
 )
 
-#: Orders that a patch may hold, its first pixel's in the middle: a cell of 16 rows holds at most four cycles of 4 px,
-#: and slopes may double them.
-ORDER_SLOTS = 17
 #: A cell's columns are read in blocks so wide, px.
 BLOCK_WIDTH = 4
 BLOCKS = CELL_WIDTH // BLOCK_WIDTH
@@ -57,8 +56,8 @@ def cosine(turns: f32) -> f32:
 @ti.func
 def add_cycle(label: i32, sums: vec6, block: i32, cells: I32Array2, draft_bits: i32, out_sums: F32Array3):
     """Add what one column shows of a cycle to the sums of its patch, order and block."""
-    slot = (label & ORDER_MASK) - ORDER_ZERO + ORDER_SLOTS // 2
-    if label >= 0 and slot >= 0 and slot < ORDER_SLOTS:
+    slot = (label & ORDER_MASK) - ORDER_ZERO + out_sums.shape[1] // 2
+    if label >= 0 and slot >= 0 and slot < out_sums.shape[1]:
         patch = patch_number(label >> ORDER_BITS, cells, draft_bits)
         for k in ti.static(range(SUMS)):
             add_alone(out_sums[patch, slot, SUMS * block + k], sums[k])
@@ -82,7 +81,7 @@ def measure_contrast_kernel(mixed: bool) -> Any:
         labels: I32Array2,  # (H, W) patch and order inside it
         cells: I32Array2,  # (3, cells + 1) see `Cell`; numbered
         draft_bits: i32,
-        out_sums: F32Array3,  # (patches, ORDER_SLOTS, BLOCKS SUMS) weight, and weighted modulation, background ...
+        out_sums: F32Array3,  # (patches, slots, BLOCKS SUMS) weight, and weighted modulation, background ...
     ):
         """Walk down the columns of each cell, cycle by cycle."""
         height, width = phase.shape[0], phase.shape[1]
@@ -91,7 +90,7 @@ def measure_contrast_kernel(mixed: bool) -> Any:
             # The background is the mean of the projector's channels.
             means = matrix_of(inverse_matrix).transpose() @ vec3(1.0 / 3.0)
             for patch in range(cells[Cell.PATCHES, cell], cells[Cell.PATCHES, cell + 1]):
-                for slot in range(ORDER_SLOTS):
+                for slot in range(out_sums.shape[1]):
                     for k in range(SUMS * BLOCKS):
                         out_sums[patch, slot, k] = 0.0
             # Within a cell the gains hardly change: along its middle column as in a straight line.
@@ -123,7 +122,13 @@ def measure_contrast_kernel(mixed: bool) -> Any:
 
 
 def measure_contrast(
-    image: LevelsImage, crosstalk: Crosstalk, gains: Gains, phase: F32, modulation: F32, patches: Patches
+    image: LevelsImage,
+    crosstalk: Crosstalk,
+    gains: Gains,
+    phase: F32,
+    modulation: F32,
+    patches: Patches,
+    period_px: float,
 ) -> npt.NDArray[np.float32]:
     """Sum the modulation and the background of every cycle in every patch.
 
@@ -141,10 +146,12 @@ def measure_contrast(
         Levels.
     patches : Patches
         The frame's.
+    period_px : float
+        Rows per cycle.
 
     Returns
     -------
-    (P, ORDER_SLOTS, BLOCKS, SUMS) float32
+    (P, slots, BLOCKS, SUMS) float32
         By patch, by the order in it with 0 in the middle, and by block: the sum of the weights, and the weighted sums
         of modulation and background (levels), of the phase (rad), and of the ripple's cosine and sine.
 
@@ -156,10 +163,12 @@ def measure_contrast(
     image = checks.read_array("image", image, (*patches.shape, 3), *LEVEL_TYPES)
     phase = checks.read_array("phase", phase, patches.shape, np.float32)
     modulation = checks.read_array("modulation", modulation, patches.shape, np.float32)
-    sums = runtime.empty((patches.count, ORDER_SLOTS, SUMS * BLOCKS), np.float32)
+    # As many orders as a cell holds, before its first pixel's and after it; slopes may double them.
+    slots = 2 * ceil(2 * CELL_HEIGHT / period_px) + 1
+    sums = runtime.empty((patches.count, slots, SUMS * BLOCKS), np.float32)
     surfaces = crosstalk.surfaces
     light = (image, surfaces.labels, surfaces.unmixing, surfaces.ambient, crosstalk.inverse)
     seen = (gains.gains, gains.spacing_px, phase, modulation)
     of_patches = (patches.labels, patches.cell_table, patches.draft_bits)
     measure_contrast_kernel(surfaces.mixed)(*light, *seen, *of_patches, sums)
-    return runtime.to_host(sums).reshape(patches.count, ORDER_SLOTS, BLOCKS, SUMS)  # synchronises
+    return runtime.to_host(sums).reshape(patches.count, slots, BLOCKS, SUMS)  # synchronises

@@ -5,7 +5,8 @@ the code's, so what is to be added depends on the absolute phase, and on the pla
 there. It comes before the phase is smoothed along the stripe.
 """
 
-from typing import NamedTuple
+from functools import cache
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -21,11 +22,24 @@ from tikernels._taichi import (
     i32,
     mat5,
     ti,
+    vec2,
     vec3,
     vec4,
     vec5,
 )
 from tikernels.arrays import F32, I32
+from tikernels.lanes import (
+    Lanes,
+    as_lanes,
+    lane_count,
+    lanes_at,
+    load_lanes,
+    planes,
+    put_back,
+    store_lanes,
+    whole_rows,
+    width_of,
+)
 from tikernels.launching import kernel
 from tikernels.phase.phase_vector import PI
 from tikernels.strips import STRIP, strip_at, strip_count
@@ -54,22 +68,25 @@ class CodeRipples(NamedTuple):
 
 
 @ti.func
-def tabled(table: F32Array2, row: i32, share: f32) -> f32:
-    """Interpolate a row of a table at a share of its length, 0..1."""
-    last = table.shape[1] - 1
-    place = ti.min(ti.max(share, 0.0), 1.0) * last
+def tabled(within: F32Array2, cycles: f32) -> vec2:
+    """Interpolate the two rows of a table over a cycle, which begins half a cycle before its middle."""
+    last = within.shape[1] - 1
+    place = (cycles + 0.5 - ti.floor(cycles + 0.5)) * last
     below = ti.min(ti.cast(place, ti.i32), last - 1)
-    return table[row, below] + (place - below) * (table[row, below + 1] - table[row, below])
+    low, high = vec2(within[0, below], within[1, below]), vec2(within[0, below + 1], within[1, below + 1])
+    return low + (place - below) * (high - low)
 
 
 @ti.func
-def ripples_at(table: F32Array3, cycles: f32, along: f32) -> vec3:
-    """Interpolate a code's ripples at an absolute phase in cycles, and a column in repeats of the code."""
-    last = table.shape[0] - 1
+def ripples_at(table: F32Array3, terms: vec4, cycles: f32) -> vec3:
+    """Interpolate a code's ripples at an absolute phase in cycles, in a column with these terms."""
+    last, places = table.shape[0] - 1, table.shape[1]
     place = ti.min(ti.max(cycles * TABLED, 0.0), ti.cast(last, ti.f32))
-    below = ti.min(ti.cast(place, ti.i32), last - 1)
-    # Not a number where a ray meets the pattern nowhere.
-    column = ti.max(ti.min(ti.cast((along - ti.floor(along)) * table.shape[1], ti.i32), table.shape[1] - 1), 0)
+    below, column = ti.min(ti.cast(place, ti.i32), last - 1), 0
+    if places > 1:
+        along = terms[0] + cycles * (terms[1] + cycles * (terms[2] + cycles * terms[3]))
+        # Not a number where a ray meets the pattern nowhere.
+        column = ti.max(ti.min(ti.cast((along - ti.floor(along)) * places, ti.i32), places - 1), 0)
     ripples = vec3(0.0)
     for k in ti.static(range(3)):
         low, high = table[below, column, k], table[below + 1, column, k]
@@ -90,11 +107,8 @@ def node_terms(columns: F32Array3, row: i32, down: f32, column: i32) -> vec4:
 def bending_at(table: F32Array3, within: F32Array2, terms: vec4, unwrapped: f32) -> vec3:
     """Return how much there is of each ripple at an absolute phase, rad, of a column with these terms."""
     cycles = unwrapped * (0.5 / PI)
-    along = terms[0] + cycles * (terms[1] + cycles * (terms[2] + cycles * terms[3]))
-    ripples = ripples_at(table, cycles, along)
-    share = cycles + 0.5 - ti.floor(cycles + 0.5)
-    of_contrast = tabled(within, 0, share) + (2.0 + ripples[0]) * tabled(within, 1, share)
-    return vec3(ripples[0] * of_contrast, ripples[1], ripples[2])
+    ripples, of_contrast = ripples_at(table, terms, cycles), tabled(within, cycles)
+    return vec3(ripples[0] * (of_contrast[0] + (2.0 + ripples[0]) * of_contrast[1]), ripples[1], ripples[2])
 
 
 @kernel
@@ -164,23 +178,31 @@ def correct_by_modulation_kernel(
                 phase[y, x] = phase[y, x] + added
 
 
-@kernel
-def follow_phase_kernel(
-    region: I32Array2,  # (H, W) region's number from 1; 0 outside
-    smoothed: F32Array2,  # (H, W) rad, the phase after the correction
-    phase: F32Array2,  # (H, W) rad, before; becomes the same
-    unwrapped: F32Array2,  # (H, W) rad, which follows
-):
-    """Let the unwrapped phase follow what has changed."""
-    height, width = phase.shape[0], phase.shape[1]
-    for t in range(height * strip_count(width, STRIP)):
-        y, first, count = strip_at(t, width, STRIP)
-        for x in range(first, first + count):
-            change = smoothed[y, x] - phase[y, x]
-            # Beside a step smoothing may find the other surface now.
-            if region[y, x] > 0 and ti.abs(change) < 0.5 * PI:
-                unwrapped[y, x] = unwrapped[y, x] + change
-                phase[y, x] = smoothed[y, x]
+@cache
+def _follow_phase_kernel(wide: bool) -> Any:
+    """Return the kernel for rows of vectors, or of numbers."""
+    lanes = Lanes.of(wide)
+
+    @kernel(whole_vectors=wide)
+    def follow_phase_kernel(
+        smoothed: planes(wide),  # (H, W) rad, the phase after the correction
+        phase: planes(wide),  # (H, W) rad, before
+        unwrapped: planes(wide),  # (H, W) rad, which follows; NaN outside the mask
+    ):
+        """Let the unwrapped phase follow what has changed."""
+        height, width = phase.shape[0], width_of(phase, wide)
+        for t in range(height * lane_count(width, wide)):
+            y, place = lanes_at(t, width, wide)
+            after = load_lanes(smoothed, lanes.floats, y, place, width, wide)
+            before = load_lanes(phase, lanes.floats, y, place, width, wide)
+            follows = load_lanes(unwrapped, lanes.floats, y, place, width, wide)
+            for k in range(lanes.count):
+                change = after[k] - before[k]
+                # Beside a step smoothing may find the other surface now.
+                follows[k] += ti.select(ti.abs(change) < 0.5 * PI, change, 0.0)
+            store_lanes(unwrapped, y, place, width, follows, wide)
+
+    return follow_phase_kernel
 
 
 def measure_bends(
@@ -264,29 +286,27 @@ def correct_by_modulation(
     correct_by_modulation_kernel(region, unwrapped, known.astype(np.int32), *ripples, phase)
 
 
-def follow_phase(region: I32, smoothed: F32, out: tuple[F32, F32]) -> None:
+def follow_phase(smoothed: F32, phase: F32, out: F32) -> None:
     """Let the unwrapped phase follow the phase that has been corrected and smoothed.
 
     Parameters
     ----------
-    region : (H, W) int32
-        The region's number from 1; 0 outside.
     smoothed : (H, W) float32
         rad.
-    out : two (H, W) float32
-        The phase as it was (rad), which becomes the same, and the unwrapped phase (rad), which follows.
+    phase : (H, W) float32
+        rad, as it was before.
+    out : (H, W) float32
+        The unwrapped phase (rad; NaN outside the mask), which follows.
 
     Raises
     ------
     ShapeError
-        A shape or dtype is another one, or an output cannot be written.
+        A shape or dtype is another one, or the output cannot be written.
     """
-    shape = (int(out[0].shape[0]), int(out[0].shape[1]))
-    region = checks.read_array("region", region, shape, np.int32)
+    shape = (int(phase.shape[0]), int(phase.shape[1]))
     smoothed = checks.read_array("smoothed", smoothed, shape, np.float32)
-    names = ("out[0]", "out[1]")
-    follow_phase_kernel(
-        region,
-        smoothed,
-        *(checks.out_array(name, array, shape, np.float32) for name, array in zip(names, out, strict=True)),
-    )
+    phase = checks.read_array("phase", phase, shape, np.float32)
+    unwrapped = checks.out_array("out", out, shape, np.float32)
+    rows, wide = whole_rows(smoothed, phase, unwrapped)
+    _follow_phase_kernel(wide)(*(as_lanes(array, wide) for array in rows))
+    put_back(rows[2], unwrapped)

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from tikernels import runtime
 from tikernels._taichi import (
     F32Array3,
     I32Array1,
@@ -27,6 +28,7 @@ from tikernels._taichi import (
     ti,
     vec16,
 )
+from tikernels.lanes import whole_rows
 from tikernels.launching import kernel
 from tikernels.order_evidence.offset_labelling import LANES, OffsetEvidence
 from tikernels.unwrapping.patches import one_thread_is_faster
@@ -37,14 +39,14 @@ _LEVELS, _FROM_TO = 8, (0.02, 0.98)
 _LEAST_CELLS = 9
 
 
-@kernel
+@kernel(whole_vectors=True)
 def sum_tables_kernel(
     serial: Static,  # whether one thread does it
     patch: I32Array1,  # (P,) sorted by cell
     starts: I32Array1,  # (R * C + 1,) where each cell's begin
     columns: i32,  # C, of cells
     values: Vec16Array3,  # (P, groups, 2)
-    out_table: Vec16Array3,  # ((R + 1) * (C + 1), groups, 2) sum of all cells before; 0 to begin with
+    out_table: Vec16Array3,  # ((R + 1) * (C + 1), groups, 2) sum of all cells before; 0 along the edges
 ):
     """Sum up the patches of a grid's cells above and to the left: four places of the table give a window's sum."""
     ti.loop_config(serialize=serial)
@@ -85,7 +87,7 @@ def best_offset(table: Static, scale: f32, corner: i32, below: i32, beside: i32,
     return best, better
 
 
-@kernel
+@kernel(whole_vectors=True)
 def scan_windows_kernel(
     serial: Static,  # whether one thread does it
     windows: I32Array2,  # (W, 2) cells, rows by columns
@@ -200,6 +202,7 @@ def find_other_offsets(
         By how much it is better, in variances.
     """
     rule = _Rule(most_columns, common, least)
+    evidence = evidence._replace(sums=np.asarray(whole_rows(evidence.sums)[0][0]))
     scanned, pieces = _scan(evidence, cells, own, windows, rule), _pieces(evidence, cells, own, brightness, rule)
     places, gain = [*scanned.cells, *pieces.cells], np.append(scanned.gain, pieces.gain)
     taken = np.full((cells.rows, cells.columns), -1, np.int64)
@@ -240,9 +243,10 @@ def _sum_table(
     patch: npt.NDArray[np.integer], starts: npt.NDArray[np.integer], columns: int, values: npt.NDArray[np.float32]
 ) -> npt.NDArray[np.float32]:
     """Return a table of sums of patches' values (P, groups, 2, LANES); see `sum_tables_kernel`."""
-    rows = (len(starts) - 1) // columns
-    table = np.zeros(((rows + 1) * (columns + 1), *values.shape[1:]), np.float32)
-    places = patch.astype(np.int32), starts.astype(np.int32)
+    shape = ((len(starts) - 1) // columns + 1, columns + 1, *values.shape[1:])
+    table = runtime.empty_on_host(shape, np.float32)
+    table[0] = table[:, 0] = 0
+    places, table = (patch.astype(np.int32), starts.astype(np.int32)), table.reshape(-1, *values.shape[1:])
     sum_tables_kernel(one_thread_is_faster(len(patch)), *places, columns, values, table)
     return table
 
@@ -251,28 +255,29 @@ def _pieces(
     evidence: OffsetEvidence, cells: Cells, own: int, brightness: npt.NDArray[np.floating], rule: _Rule
 ) -> _Found:
     """Ask the pieces above and below levels of brightness. Of more than half of the cells the region has its offset."""
-    cell, count, shape = cells.number, cells.rows * cells.columns, (cells.rows, cells.columns)
-    weight = np.bincount(cell, evidence.weight, count)
-    seen = weight > 0
-    bright = np.full(count, np.nan, np.float32)
-    bright[seen] = np.bincount(cell, brightness, count)[seen] / weight[seen]
-    darkest, brightest = np.quantile(bright[seen], _FROM_TO)
+    cell, rows, columns = cells.number, cells.rows, cells.columns
+    weight = np.bincount(cell, evidence.weight, rows * columns)
+    seen = np.flatnonzero(weight)
+    bright = np.full(rows * columns, np.nan, np.float32)
+    bright[seen] = np.bincount(cell, brightness, rows * columns)[seen] / weight[seen]
+    ends = [round(share * (len(seen) - 1)) for share in _FROM_TO]
+    darkest, brightest = np.partition(bright[seen], ends)[ends]
     levels = np.linspace(darkest, brightest, _LEVELS + 2)[1:-1, None]
-    found = [
-        cv2.connectedComponentsWithStats(held.reshape(shape).astype(np.uint8), connectivity=4)
-        for held in np.concatenate([bright > levels, bright < levels])
-    ]
-    boxes = np.concatenate([box for _, _, box, _ in found])
-    size, firsts = boxes[:, cv2.CC_STAT_AREA], np.cumsum([0, *(number for number, *_ in found)])[:-1]
-    asked = (size >= _LEAST_CELLS) & (2 * size < seen.sum())
-    asked[firsts] = False  # what lies on the other side of the level
-    of_patch = np.stack([labels.ravel()[cell] for _, labels, *_ in found]) + firsts[:, None]
+    # One below the other, with a row between them.
+    sides = np.zeros((2 * _LEVELS, rows + 1, columns), np.uint8)
+    sides[:, :rows] = np.concatenate([bright > levels, bright < levels]).reshape(-1, rows, columns)
+    _, labels, boxes, _ = cv2.connectedComponentsWithStats(sides.reshape(-1, columns), connectivity=4)
+    labels = labels.reshape(sides.shape)[:, :rows]
+    size = boxes[:, cv2.CC_STAT_AREA]
+    asked = (size >= _LEAST_CELLS) & (2 * size < len(seen))
+    asked[0] = False  # what lies on the other side of the levels
+    of_patch = labels.reshape(len(labels), -1).take(cell, axis=1).ravel()
     held = np.flatnonzero(asked[of_patch])
     if len(held) == 0:
         return _Found([], np.zeros(0, np.int64), np.zeros(0, np.float32))
-    held = held[np.argsort(of_patch.ravel()[held], kind="stable")]
-    starts = np.flatnonzero(np.diff(of_patch.ravel()[held], prepend=-1))
-    number, patch = of_patch.ravel()[held[starts]], held % len(cell)
+    held = held[np.argsort(of_patch[held], kind="stable")]
+    starts = np.flatnonzero(np.diff(of_patch[held], prepend=-1))
+    number, patch = of_patch[held[starts]], held % len(cell)
     # As a row of cells, whose table adds up.
     table = _sum_table(patch, np.append(starts, len(held)), len(starts), evidence.sums)
     of_pieces = np.diff(table[len(starts) + 1 :], axis=0)
@@ -283,6 +288,6 @@ def _pieces(
     gain = remains[:, own] - remains.min(axis=1)
     gain *= np.minimum(1, rule.most_columns * boxes[number, cv2.CC_STAT_HEIGHT] / size[number])
     shown = np.flatnonzero(gain > rule.least)
-    level = np.searchsorted(firsts, number[shown], side="right") - 1
-    places = [found[k][1] == n - firsts[k] for k, n in zip(level, number[shown], strict=True)]
+    of_shown = number[shown]
+    places = [labels[k] == n for k, n in zip(boxes[of_shown, cv2.CC_STAT_TOP] // (rows + 1), of_shown, strict=True)]
     return _Found(places, best[shown], gain[shown])

@@ -6,7 +6,7 @@ phase of the other surface goes on over many pixels, too, but the orders step by
 So does the brightness: where it has an edge the border of the surfaces is seen, and lies between the cells.
 """
 
-from tikernels._taichi import F32Array2, I32Array2, Static, f32, i32, ti, vec3, vec4
+from tikernels._taichi import F32Array2, I32Array2, f32, i32, ti, vec3, vec4
 from tikernels.launching import kernel
 from tikernels.phase.phase_vector import TINY
 from tikernels.phase.smoothing import MAX_DEPARTURE
@@ -31,7 +31,7 @@ _EDGE, _EDGE_PX = 0.9, 5
 
 
 @ti.func
-def has_edge(brightness: F32Array2, y: i32, x: i32, dy: Static, dx: Static) -> i32:
+def has_edge(brightness: F32Array2, y: i32, x: i32, dy: i32, dx: i32) -> i32:
     """Whether brightness has an edge between a pixel and the next: across it changes by more than beside it."""
     seen = vec4(0.0)
     for k in ti.static(range(4)):
@@ -54,11 +54,11 @@ def on_seam(
     rate: f32,
     y: i32,
     x: i32,
-    down: Static,
+    down: i32,
 ) -> i32:
     """Whether phase and brightness go on from a pixel to the next, below or to the right, but not the orders."""
     contradicts = 0
-    dy, dx = ti.static((down, 1 - down))
+    dy, dx = down, 1 - down
     y2, x2 = y + dy, x + dx
     label, label2 = labels[y, x], labels[y2, x2]
     if (label | label2) >= 0:
@@ -98,15 +98,14 @@ def mark_hidden_steps_kernel(
     for cell in range(seams.shape[1]):
         along, across, _ = frame_rates(rates)
         top, left, bottom, right = cell_bounds(cell, height, width)
-        to_right, below = 0, 0
-        if right < width:
-            for y in range(top, bottom):
-                to_right += on_seam(phase, brightness, labels, final, along, y, right - 1, 0)
-        if bottom < height:
-            for x in range(left, right):
-                below += on_seam(phase, brightness, labels, final, across, bottom - 1, x, 1)
-        seams[Seam.RIGHT, cell] = to_right
-        seams[Seam.BELOW, cell] = (CELL_HEIGHT // CELL_WIDTH) * below
+        for down in range(2):  # along the cell's last column, and along its last row
+            count, rate = 0, ti.select(down == 1, across, along)
+            y, x = ti.select(down == 1, bottom - 1, top), ti.select(down == 1, left, right - 1)
+            length = ti.select(down == 1, right - left, bottom - top)
+            if ti.select(down == 1, bottom < height, right < width):
+                for k in range(length):
+                    count += on_seam(phase, brightness, labels, final, rate, y + k * (1 - down), x + k * down, down)
+            seams[Seam.RIGHT + down, cell] = ti.select(down == 1, CELL_HEIGHT // CELL_WIDTH, 1) * count
     for cell in range(seams.shape[1]):
         row, column, rows, most = cell // columns, cell % columns, seams.shape[1] // columns, 0
         # At the image's border the side that would tell may be missing, and the step goes on from the next cell.

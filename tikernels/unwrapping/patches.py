@@ -1,5 +1,6 @@
 """The patches of a frame, sorted into regions: what finding the fringe orders sees of unwrapping."""
 
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -107,16 +108,11 @@ class Patches:
     def graph(self) -> PatchGraph:
         """Return the patches, and where they touch inside their regions."""
         table = self._columns()  # synchronises
-        cells = runtime.to_host(self.cell_table)
-        counts = np.diff(cells[Cell.CONTACTS])
-        within = np.arange(cells[Cell.CONTACTS, -1]) - np.repeat(cells[Cell.CONTACTS, :-1], counts)
-        cell = np.repeat(np.arange(self.cells), counts)
-        noted = columns_at(self._draft_contacts, (cell << (self.draft_bits + CONTACT_BITS)) + within)
-        ends = numbers_of(noted[[Contact.FROM, Contact.TO]], cells, self.draft_bits)
+        ends, shift, votes = self._contacts
         offset, root = table[Patch.OFFSET].copy(), table[Patch.ROOT].copy()
-        agree = offset[ends[1]] == offset[ends[0]] + noted[Contact.SHIFT]
+        agree = offset[ends[1]] == offset[ends[0]] + shift
         agree &= (root[ends[0]] == root[ends[1]]) & (ends[0] != ends[1])
-        ends, votes = ends.compress(agree, axis=1), noted[Contact.VOTES].compress(agree)
+        ends, votes = ends.compress(agree, axis=1), votes.compress(agree)
         pixels, first = table[Patch.PIXELS].copy(), table[Patch.FIRST].copy()
         return PatchGraph(root, offset, pixels, first, ends, votes, self.borders)
 
@@ -270,6 +266,17 @@ class Patches:
         mark_hidden_steps_kernel(phase, brightness, rates, self.labels, self._seams, self.final)
         write_unwrapped(phase, rates, self.labels, self.final, out_unwrapped, out_mask, out_region)
         return RegionTable(roots, pixels)
+
+    @cached_property
+    def _contacts(self) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+        """(2, C) the patches of each contact that was noted, (C,) its shift, and (C,) its votes."""
+        cells = runtime.to_host(self.cell_table)  # synchronises
+        counts = np.diff(cells[Cell.CONTACTS])
+        within = np.arange(cells[Cell.CONTACTS, -1]) - np.repeat(cells[Cell.CONTACTS, :-1], counts)
+        cell = np.repeat(np.arange(self.cells), counts)
+        noted = columns_at(self._draft_contacts, (cell << (self.draft_bits + CONTACT_BITS)) + within)
+        ends = numbers_of(noted[[Contact.FROM, Contact.TO]], cells, self.draft_bits)
+        return ends, noted[Contact.SHIFT], noted[Contact.VOTES]
 
     def _columns(self) -> npt.NDArray[np.int32]:
         """Return the table's columns, (11, P): on the CPU a look at them, on a GPU a copy."""

@@ -229,12 +229,8 @@ def _write_unwrapped_kernel(wide: bool) -> Any:
                 unwrapped = load_lanes(phase, lanes.floats, y, place, width, wide)
             region, inside = lanes.integers(0), lanes.bytes(0)
             cell = (y // CELL_HEIGHT) * cells + first // CELL_WIDTH
-            if ti.static(wide):
-                for c in ti.static(range(lanes.count // CELL_WIDTH)):
-                    write_cell(phase, rates, labels, final, cell, c, y, first, count, label, region)
-            else:
-                for c in range((count + CELL_WIDTH - 1) // CELL_WIDTH):
-                    write_cell(phase, rates, labels, final, cell, c, y, first, count, label, region)
+            for c in range((count + CELL_WIDTH - 1) // CELL_WIDTH):
+                write_cell(phase, rates, labels, final, cell, c, y, first, count, label, region)
             for k in range(lanes.count):
                 value = unwrapped[k] + 2.0 * PI * ti.cast(label[k], ti.f32)
                 unwrapped[k] = ti.select(region[k] > 0, value, ti.math.nan)

@@ -43,24 +43,24 @@ _row_of_regions = ti.types.vector(CELL_WIDTH, ti.i32)
 
 
 @ti.func
+def room_along(place: i32, step: i32, length: i32) -> i32:
+    """Return how many pixels the image goes on from a place, by this step."""
+    return ti.select(step > 0, length - 1 - place, ti.select(step < 0, place, length))
+
+
+@ti.func
 def other_light(
     phase: F32Array2, modulation: F32Array2, region: I32Array2, y: i32, x: i32, dy: i32, dx: i32, own: i32, least: f32
 ) -> u1:
     """Whether a ray that leaves its surface meets another one's light, and not its own surface again behind it."""
     found, goes_on = False, False
-    for gap in range(_PRINT + 1):
+    room = ti.min(room_along(y, dy, region.shape[0]), room_along(x, dx, region.shape[1]))
+    for gap in range(ti.min(room, _PRINT) + 1):
         y2, x2 = y + gap * dy, x + gap * dx
-        if y2 >= 0 and y2 < region.shape[0] and x2 >= 0 and x2 < region.shape[1]:
-            others = region[y2, x2] != own
-            found |= others & (gap <= _GAP) & has_phase(phase[y2, x2]) & (modulation[y2, x2] > least)
-            goes_on |= (gap > 0) & ~others
+        others = region[y2, x2] != own
+        found |= others & (gap <= _GAP) & has_phase(phase[y2, x2]) & (modulation[y2, x2] > least)
+        goes_on |= (gap > 0) & ~others
     return found & ~goes_on
-
-
-@ti.func
-def room_along(place: i32, step: i32, length: i32) -> i32:
-    """Return how many pixels the image goes on from a place, by this step."""
-    return ti.select(step > 0, length - 1 - place, ti.select(step < 0, place, length))
 
 
 @ti.func
@@ -170,11 +170,11 @@ def lies_at_rim(region: I32Array2, top: i32, left: i32, bottom: i32, right: i32)
     """Whether a surface, or the image, ends in a cell or next to it."""
     ends = top == 0 or left == 0 or bottom == region.shape[0] or right == region.shape[1]
     if not ends:
-        number, differs = region[top, left], _row_of_regions(0)
+        differs = 0
         for y in range(top - 1, bottom + 1):
-            for k in range(CELL_WIDTH):
-                differs[k] |= (region[y, left - 1 + k] ^ number) | (region[y, left + 1 + k] ^ number)
-        ends = differs.max() != 0 or differs.min() != 0
+            for k in range(-1, CELL_WIDTH + 1):
+                differs |= region[y, left + k] ^ region[top, left]
+        ends = differs != 0
     return ends
 
 

@@ -91,12 +91,12 @@ def slope_beyond(difference: f32, rate: f32) -> f32:
 
 
 @ti.func
-def departure(phase: F32Array2, y: i32, x: i32, down: Static, rate: f32) -> vec2:
+def departure(phase: F32Array2, y: i32, x: i32, down: i32, rate: f32) -> vec2:
     """How far (rad) the phase departs from what the slopes before and after let expect; NO_PHASE if not to be told.
 
     Then the whole cycles that were taken off.
     """
-    dy, dx = ti.static((down, 1 - down))
+    dy, dx = down, 1 - down
     result = vec2(NO_PHASE, 0.0)
     far = _REACH + _SLOPE_PX
     if y >= _SLOPE_PX * dy and x >= _SLOPE_PX * dx and y + far * dy < phase.shape[0] and x + far * dx < phase.shape[1]:
@@ -122,8 +122,8 @@ def sample_cells_kernel(
         along, across, _ = frame_rates(rates)
         top, left, bottom, right = cell_bounds(cell, height, width)
         y, x = (top + bottom) // 2, (left + right) // 2
-        out_samples[0, cell] = departure(phase, y, x, 0, along)[0]
-        out_samples[1, cell] = departure(phase, y, x, 1, across)[0]
+        for down in range(2):
+            out_samples[down, cell] = departure(phase, y, x, down, ti.select(down == 1, across, along))[0]
         out_samples[2, cell] = mean_change(phase, labels, ivec4(top, left, bottom, right), across)
 
 

@@ -7,7 +7,6 @@ import warnings
 import numpy as np
 import pytest
 
-from pipeline.batch import one_frame
 from pipeline.batch.one_frame import decode_picture
 from pipeline.errors import DecodeWarning, FootageError, OutputError
 from pipeline.footage.source import StoredAs
@@ -73,17 +72,7 @@ def test_a_picture_gives_all_files(tmp_path):
     assert names == ["mesh.ply", "range.png", "report.json", "result.zarr", "shaded.png"]
 
 
-def test_kernels_of_a_large_picture_are_compiled_before_and_change_nothing(tmp_path, monkeypatch):
-    """By a part of it, of which nothing is told: what is wrong with the picture is told once, by itself."""
-    fringes(tmp_path / "fringes.png")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DecodeWarning)
-        small, _ = decode(tmp_path / "fringes.png", tmp_path / "small")
-        monkeypatch.setattr(one_frame, "_LARGE_PX", 100)
-        monkeypatch.setattr(one_frame, "_PART_PX", (64, 48))
-        large, said = decode(tmp_path / "fringes.png", tmp_path / "large")
-    assert said[1:3] == ["compiling kernels", "decoding 128x96 px"]
-    assert np.array_equal(small.unwrapped_phase, large.unwrapped_phase, equal_nan=True)
+def test_a_picture_without_fringes_is_told_of_once(tmp_path):
     write_png(tmp_path / "black.png", np.zeros((48, 64, 3), np.uint8))
     with pytest.warns(DecodeWarning, match="no fringe stands out") as warned, pytest.raises(FootageError):
         decode(tmp_path / "black.png", tmp_path / "black")

@@ -4,12 +4,15 @@ import numpy as np
 import pytest
 from support.coded_blocks import WIDTH, grid
 
-from pipeline.orders.code_blocks import read_blocks
-from tikernels.order_evidence.contrast_reading import BACKGROUND, BLOCKS, MODULATION, ORDER_SLOTS, SUMS
+from pipeline.contrast_code import ContrastCode
+from pipeline.orders.code_blocks import change_by_cycle, read_blocks
+from tikernels.order_evidence.contrast_reading import BACKGROUND, BLOCKS, MODULATION, SUMS
 
 CONTRAST = np.array([0.8, 1.0, 0.7, 0.9, 0.75])
 # Phase at which the border between two patches cuts each cycle, rad.
 CUT = -0.6
+# Orders that a patch may hold.
+SLOTS = 7
 
 
 def weight_below(phase):
@@ -25,7 +28,7 @@ def sums_of(contrast=CONTRAST, period_px=12.0, *, seen=(-np.pi, np.pi), ripple=(
     times the phase.
     """
     period_px = np.broadcast_to(period_px, len(contrast))
-    sums = np.zeros((len(contrast) + 1, 2, ORDER_SLOTS, BLOCKS, SUMS), np.float32)
+    sums = np.zeros((len(contrast) + 1, 2, SLOTS, BLOCKS, SUMS), np.float32)
     for k, (value, period) in enumerate(zip(contrast * blur_leaves(period_px), period_px, strict=True)):
         for row, low, high in ((k, seen[0], min(cut, seen[1])), (k + 1, max(cut, seen[0]), seen[1])):
             if low >= high:
@@ -35,7 +38,7 @@ def sums_of(contrast=CONTRAST, period_px=12.0, *, seen=(-np.pi, np.pi), ripple=(
             waves = np.stack([np.cos(3 * phase), np.sin(3 * phase)])
             modulation = 80 * value * np.exp(np.array(ripple) @ waves)
             one = np.ones(len(phase))
-            sums[row, :, k - row + ORDER_SLOTS // 2] = np.stack([one, modulation, 80 * one, phase, *waves]) @ pixels
+            sums[row, :, k - row + SLOTS // 2] = np.stack([one, modulation, 80 * one, phase, *waves]) @ pixels
     return sums.reshape(-1, *sums.shape[2:])
 
 
@@ -103,7 +106,7 @@ def test_ripple_within_cycles_is_taken_off(ripple):
     # What the part is off by itself.
     of_part = part.reshape(-1, SUMS).sum(axis=0)
     by_itself = np.log(of_part[MODULATION] / of_part[BACKGROUND]) - np.log(np.mean(CONTRAST * blur_leaves(12.0)))
-    blocks = read(sums.reshape(-1, ORDER_SLOTS, BLOCKS, SUMS), columns=2 * len(cuts))
+    blocks = read(sums.reshape(-1, SLOTS, BLOCKS, SUMS), columns=2 * len(cuts))
     assert len(blocks.order) == 5 * 2 * len(cuts) * BLOCKS
     # The mean of a ripple's exponential is a little above 1.
     expected = np.log(CONTRAST)[blocks.order] + np.square(ripple).sum() / 4
@@ -141,7 +144,7 @@ def test_torn_cycles_count_where_most_is_left():
     contrast = np.array([0.8, 1.0, 0.7])
     for row, slot, expected in ((1, -1, {1, 2}), (0, 0, {0, 1, 2})):
         sums = sums_of(contrast)
-        sums[2 * row : 2 * row + 2, ORDER_SLOTS // 2 + slot] = 0
+        sums[2 * row : 2 * row + 2, SLOTS // 2 + slot] = 0
         assert set(read(sums).order) == expected
 
 
@@ -156,5 +159,16 @@ def test_blocks_belong_to_the_patches_parts():
 
 
 def test_no_cycles_at_all():
-    blocks = read(np.zeros((12, ORDER_SLOTS, BLOCKS, SUMS), np.float32))
+    blocks = read(np.zeros((12, SLOTS, BLOCKS, SUMS), np.float32))
     assert len(blocks.order) == len(blocks.patch) == 0 and blocks.place.shape == (0, 2)
+    assert change_by_cycle(blocks) == 0.0
+
+
+def test_a_plain_pattern_changes_less_than_the_code_under_any_response():
+    """Half of what the code changes by at least is far from both."""
+    assert change_by_cycle(read(sums_of())) == pytest.approx(np.median(np.abs(np.diff(np.log(CONTRAST)))), abs=1e-5)
+    least = ContrastCode.named("contrast").least_change
+    shaded = np.exp(0.01 * np.arange(12.0))
+    assert change_by_cycle(read(sums_of(shaded))) < least / 2
+    for levels in ContrastCode.named("contrast").levels()[..., 0]:
+        assert change_by_cycle(read(sums_of(np.exp(levels[20:40].astype(np.float64))))) > 0.8 * least

@@ -14,7 +14,6 @@ from tikernels.order_evidence.contrast_reading import (
     BLOCKS,
     COSINE,
     MODULATION,
-    ORDER_SLOTS,
     PHASE,
     SINE,
     SUMS,
@@ -39,11 +38,11 @@ def test_contrast_as_the_twin(arch, shape):
     nodes = rng.uniform(0.8, 1.2, gains.gains.shape).astype(np.float32)
     gains.gains = runtime.to_device(nodes)
     patches, _ = join(phase)
-    sums = measure_contrast(image, crosstalk, gains, phase, modulation, patches)
+    sums = measure_contrast(image, crosstalk, gains, phase, modulation, patches, 11.0)
     labels, cells = runtime.to_host(patches.labels), runtime.to_host(patches.cell_table)
     seen = (image, crosstalk.inverse, nodes, gains.spacing_px, phase, modulation, labels)
-    expected = reference.measure_contrast(*seen, ORDER_SLOTS)
-    assert sums.shape == (patches.count, ORDER_SLOTS, BLOCKS, SUMS)
+    expected = reference.measure_contrast(*seen, 7)
+    assert sums.shape == (patches.count, 7, BLOCKS, SUMS)
     for draft, own in expected.items():
         patch = numbers_of(np.array(draft), cells, patches.draft_bits)
         np.testing.assert_allclose(sums[patch], own, rtol=1e-4, atol=1e-2)
@@ -65,7 +64,7 @@ def test_neutral_fringes_show_their_contrast(arch, ambient):
     crosstalk = Crosstalk.of(np.eye(3), surfaces=Surfaces.of(mixing, ambient=np.full((1, 3), ambient)))
     image = (image @ mixing.T + ambient).astype(np.float32)
     patches, _ = join(phase)
-    sums = measure_contrast(image, crosstalk, gains, phase, np.full(shape, 0.2, np.float32), patches)
+    sums = measure_contrast(image, crosstalk, gains, phase, np.full(shape, 0.2, np.float32), patches, 12.0)
     cycles = sums[sums[..., TOTAL] > 0]
     assert len(cycles) > patches.count
     np.testing.assert_allclose(cycles[:, MODULATION] / cycles[:, BACKGROUND], 0.4, rtol=1e-5)
@@ -81,7 +80,7 @@ def test_blocks_are_columns_side_by_side(arch):
     gains.gains.fill(1.0)
     patches, _ = join(phase)
     crosstalk = Crosstalk.of(np.eye(3))
-    sums = measure_contrast(np.ones((*shape, 3), np.float32), crosstalk, gains, phase, modulation, patches)
+    sums = measure_contrast(np.ones((*shape, 3), np.float32), crosstalk, gains, phase, modulation, patches, 12.0)
     first = patches.graph().first % shape[1] // BLOCK_WIDTH
     seen = sums[..., TOTAL] > 0
     expected = 0.1 + 0.01 * (first[:, None, None] + np.arange(BLOCKS))
@@ -101,7 +100,7 @@ def test_waves_are_those_of_three_times_the_phase(arch):
     image, modulation = np.ones((*shape, 3), np.float32), np.ones(shape, np.float32)
     patches, _ = join(np.zeros(shape, np.float32))
     for phase in np.linspace(-np.pi, np.pi, 30)[1:-1]:
-        sums = measure_contrast(image, crosstalk, gains, np.full(shape, phase, np.float32), modulation, patches)
+        sums = measure_contrast(image, crosstalk, gains, np.full(shape, phase, np.float32), modulation, patches, 12.0)
         seen = sums[sums[..., TOTAL] > 0]
         assert len(seen)
         expected = np.array([[phase, np.cos(3 * phase), np.sin(3 * phase)]])
@@ -118,6 +117,6 @@ def test_what_is_refused(arch):
     gains.gains.fill(1.0)
     image = np.zeros((*shape, 3), np.uint8)
     with pytest.raises(tikernels.ShapeError, match="modulation has shape"):
-        measure_contrast(image, crosstalk, gains, phase, phase[1:], patches)
+        measure_contrast(image, crosstalk, gains, phase, phase[1:], patches, 12.0)
     with pytest.raises(tikernels.ShapeError, match="image is int64"):
-        measure_contrast(image.astype(np.int64), crosstalk, gains, phase, phase, patches)
+        measure_contrast(image.astype(np.int64), crosstalk, gains, phase, phase, patches, 12.0)

@@ -123,20 +123,20 @@ def test_a_ramp_of_ripples_is_interpolated(arch):
     np.testing.assert_allclose(phase, 0.2 * np.maximum(cycles, 0), atol=1e-5)
 
 
-def test_the_unwrapped_phase_follows(arch):
-    """Inside regions, by what smoothing has changed, and not where that is the other side of a step."""
-    shape = (40, 70)
+@pytest.mark.parametrize("width", [70, 64])
+def test_the_unwrapped_phase_follows(arch, width):
+    """Where there is one, by what smoothing has changed, and not where that is the other side of a step."""
+    shape = (40, width)
     rng = np.random.default_rng(2)
     phase, unwrapped = (rng.uniform(-3, 3, shape).astype(np.float32) for _ in range(2))
     change = rng.uniform(-0.3, 0.3, shape).astype(np.float32)
     change[5, 7], change[6, 7] = 2.0, -1.7
-    region = (np.arange(70) % 10 > 0).astype(np.int32) * np.ones((40, 1), np.int32)
-    follows = (region > 0) & (np.abs(change) < np.pi / 2)
-    followed = phase.copy(), unwrapped.copy()
-    follow_phase(region, phase + change, out=followed)
-    np.testing.assert_array_equal(followed[0], np.where(follows, phase + change, phase))
-    np.testing.assert_allclose(followed[1], np.where(follows, unwrapped + change, unwrapped), atol=1e-6)
-    assert not follows[5, 7] and not follows[6, 7] and follows.mean() > 0.85
+    unwrapped[:, ::10] = np.nan
+    followed = unwrapped.copy()
+    follow_phase(phase + change, phase, out=followed)
+    follows = np.abs(change) < np.pi / 2
+    np.testing.assert_allclose(followed, np.where(follows, unwrapped + change, unwrapped), atol=1e-6)
+    assert not follows[5, 7] and not follows[6, 7] and follows.mean() > 0.99
 
 
 def test_what_is_refused(arch):
@@ -149,10 +149,9 @@ def test_what_is_refused(arch):
     for out in (phase[1:], read_only, phase.astype(np.float64)):
         with pytest.raises(tikernels.ShapeError):
             correct_by_modulation(region, phase.copy(), known, ripples, out=out)
-    for out in ((phase, phase[1:]), (phase, read_only), (phase.astype(np.float64), phase)):
         with pytest.raises(tikernels.ShapeError):
-            follow_phase(region, phase.copy(), out=out)
+            follow_phase(phase.copy(), phase.copy(), out=out)
     with pytest.raises(tikernels.ShapeError, match="region has shape"):
         correct_by_modulation(region[1:], phase.copy(), known, ripples, out=phase)
     with pytest.raises(tikernels.ShapeError, match="smoothed has shape"):
-        follow_phase(region, phase[1:], out=(phase, phase.copy()))
+        follow_phase(phase[1:], phase, out=phase.copy())

@@ -3,7 +3,6 @@
 import numpy as np
 
 from tikernels.order_evidence.offset_labelling import (
-    Links,
     connected_parts,
     pool_evidence,
     settle_labels,
@@ -45,7 +44,7 @@ def test_deviations_as_the_twin(arch):
     np.testing.assert_allclose(evidence.weight, np.bincount(held[1], held[2], COUNT), rtol=1e-5)
 
 
-def test_what_is_pooled_as_the_twin(arch):
+def test_what_is_pooled_as_the_twin():
     rng = np.random.default_rng(1)
     ends, weights = grid(), rng.uniform(0, 1, grid().shape[1])
     evidence = rng.uniform(0, 9, (COUNT, 19)).astype(np.float32)
@@ -54,11 +53,11 @@ def test_what_is_pooled_as_the_twin(arch):
     expected = evidence.astype(float)
     for _ in range(3):
         expected = evidence + matrix @ expected
-    pooled = pool_evidence(evidence, Links.of(ends, COUNT), weights)
+    pooled = pool_evidence(evidence, ends, weights)
     np.testing.assert_allclose(pooled, expected, rtol=1e-5)
 
 
-def test_labels_settle_with_their_neighbours(arch):
+def test_labels_settle_with_their_neighbours():
     """Two halves that show different offsets, a third of the patches by chance the other one: two halves again."""
     rng = np.random.default_rng(2)
     right = (np.arange(COUNT) % COLUMNS >= 5).astype(int)
@@ -66,11 +65,10 @@ def test_labels_settle_with_their_neighbours(arch):
     evidence = np.where(np.arange(2) == shown[:, None], 0.0, 6.0).astype(np.float32)
     evidence[shown == right] *= 2
     ends = grid()
-    links = Links.of(ends, COUNT)
-    labels = settle_labels(evidence, shown, links, np.full(ends.shape[1], 4.0))
+    labels = settle_labels(evidence, shown, ends, np.full(ends.shape[1], 4.0))
     assert np.mean(labels == right) > 0.9 > np.mean(shown == right)
     # Where a difference costs nothing, every patch keeps what it shows itself.
-    alone = settle_labels(evidence, np.zeros(COUNT, int), links, np.zeros(ends.shape[1]))
+    alone = settle_labels(evidence, np.zeros(COUNT, int), ends, np.zeros(ends.shape[1]))
     np.testing.assert_array_equal(alone, shown)
 
 
