@@ -597,11 +597,14 @@ def measure_contrast(
     """Return by draft of a patch what is summed of its orders and blocks.
 
     That is weight, modulation, background, phase, and cosine and sine of three times the phase, which are smooth steps.
+    Pixels beside one without a label are left out.
     """
     sums: dict[int, Array] = {}
+    around = np.pad(labels, 1, mode="edge")
+    beside = np.minimum.reduce([around[:-2, 1:-1], around[2:, 1:-1], around[1:-1, :-2], around[1:-1, 2:]])
     cell_height, cell_width, block_width, order_bits, order_zero = 16, 8, 4, 6, 32
     for y, x in np.ndindex(labels.shape):
-        if labels[y, x] < 0:
+        if min(labels[y, x], beside[y, x]) < 0:
             continue
         top, left = y // cell_height * cell_height, x // cell_width * cell_width
         bottom, right = min(top + cell_height, labels.shape[0]), min(left + cell_width, labels.shape[1])

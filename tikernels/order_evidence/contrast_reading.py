@@ -106,7 +106,10 @@ def measure_contrast_kernel(mixed: bool) -> Any:
                     if here != label:
                         add_cycle(label, sums, block, cells, draft_bits, out_sums)
                         label, sums = here, vec6(0.0)
-                    if label >= 0:
+                    # Beside a surface's end a pixel sees something else, too.
+                    above, below = labels[ti.max(y - 1, 0), x], labels[ti.min(y + 1, height - 1), x]
+                    before, after = labels[y, ti.max(x - 1, 0)], labels[y, ti.min(x + 1, width - 1)]
+                    if ti.min(label, above, below, before, after) >= 0:
                         channels = neutral_light(color_at(image, y, x), unmixing, besides, surface_labels, y, x, mixed)
                         light = (first + (y - top) * change).dot(channels)
                         angle = phase[y, x]
