@@ -38,6 +38,7 @@ _Mask = npt.NDArray[np.bool_]
 # So many pixels beside sixteen count for them.
 _BESIDE = 4
 _wide_lanes = ti.types.vector(AT_ONCE + 2 * _BESIDE, ti.f32)
+cell_lanes = ti.types.matrix(CELL_ROWS, AT_ONCE, ti.f32)
 # Gaussians that misfits are averaged over: px across the stripes, and along them where pixels are asked; cycles, and
 # how much that one counts.
 _NEAR_PX, _ALONG_PX = 1.6, 2.0
@@ -227,20 +228,23 @@ def row_misfits(misfits: F32Array3, cells: I32Array2, surface: i32, y: i32, stri
 
 @ti.func
 def near_misfits(
-    misfits: F32Array3, cells: I32Array2, near: F32Array1, along: F32Array1, surface: i32, y: i32, strip: i32
+    misfits: F32Array3, cells: I32Array2, near: F32Array1, along: F32Array1, surface: i32, i: i32, strip: i32
 ):
-    """Return the squares of a surface's misfits around sixteen pixels, averaged across the stripes, then along them."""
-    sums, counts, total, weight = _wide_lanes(0.0), _wide_lanes(0.0), place_lanes(0.0), place_lanes(1e-6)
-    for v in range(ti.max(y - near.shape[0] + 1, 0), ti.min(y + near.shape[0], misfits.shape[1])):
+    """Return the squares of a surface's misfits around the pixels of a cell, averaged along the stripes and across."""
+    total, weight, first = cell_lanes(0.0), cell_lanes(1e-6), i * CELL_ROWS
+    for v in range(ti.max(first - near.shape[0] + 1, 0), ti.min(first + CELL_ROWS + near.shape[0] - 1, misfits.shape[1])):
         left = row_misfits(misfits, cells, surface, v, strip)
-        for k in range(AT_ONCE + 2 * _BESIDE):
-            share = ti.select(left[k] > SAYS_NOTHING, near[ti.abs(v - y)], 0.0)
-            sums[k] += share * ti.min(left[k] * left[k], MOST_MISFIT)
-            counts[k] += share
-    for u in ti.static(range(2 * _BESIDE + 1)):
-        for k in range(AT_ONCE):
-            total[k] += along[ti.abs(u - _BESIDE)] * sums[k + u]
-            weight[k] += along[ti.abs(u - _BESIDE)] * counts[k + u]
+        sums, counts = place_lanes(0.0), place_lanes(0.0)
+        for u in ti.static(range(2 * _BESIDE + 1)):
+            for k in range(AT_ONCE):
+                share = ti.select(left[k + u] > SAYS_NOTHING, along[ti.abs(u - _BESIDE)], 0.0)
+                sums[k] += share * ti.min(left[k + u] * left[k + u], MOST_MISFIT)
+                counts[k] += share
+        for row in range(ti.max(v - first - near.shape[0] + 1, 0), ti.min(v - first + near.shape[0], CELL_ROWS)):
+            share = near[ti.abs(v - first - row)]
+            for k in range(AT_ONCE):
+                total[row, k] += share * sums[k]
+                weight[row, k] += share * counts[k]
     return total / weight
 
 
@@ -255,22 +259,24 @@ def choose_surfaces_kernel(
     columns: i32,
     labels: U8Array2,  # (H, W) changed where surfaces are asked, unless NO_SURFACE
 ):
-    height, width = labels.shape[0], labels.shape[1]
-    strips = strip_count(width, AT_ONCE)
-    for t in range(height * strips):
-        y, strip, first = t // strips, t % strips, t % strips * AT_ONCE
-        if cells[y // CELL_ROWS, strip] != 0:
-            best, which = place_lanes(1e9), place_lanes(0.0)
+    height, width, strips = labels.shape[0], labels.shape[1], cells.shape[1]
+    for t in range(cells.shape[0] * strips):
+        i, strip, first = t // strips, t % strips, t % strips * AT_ONCE
+        if cells[i, strip] != 0:
+            best, which = cell_lanes(1e9), cell_lanes(0.0)
             for surface in range(misfits.shape[0]):
-                if asks(cells, y, strip, surface):
-                    value = near_misfits(misfits, cells, near, along, surface, y, strip)
-                    for k in range(AT_ONCE):
-                        value[k] += _AROUND * place_at(around, surface, y / rows, (first + k + 0.5) / columns - 0.5)
-                        which[k] = ti.select(value[k] < best[k], ti.cast(surface, ti.f32), which[k])
-                        best[k] = ti.min(value[k], best[k])
-            for k in range(ti.min(AT_ONCE, width - first)):
-                if ti.cast(labels[y, first + k], ti.i32) != NO_SURFACE:
-                    labels[y, first + k] = ti.cast(which[k], ti.u8)
+                if (cells[i, strip] >> surface) & 1 == 1:
+                    value = near_misfits(misfits, cells, near, along, surface, i, strip)
+                    for row, k in ti.ndrange(CELL_ROWS, AT_ONCE):
+                        y, x = (i * CELL_ROWS + row) / rows, (first + k + 0.5) / columns - 0.5
+                        misfit = value[row, k] + _AROUND * place_at(around, surface, y, x)
+                        which[row, k] = ti.select(misfit < best[row, k], ti.cast(surface, ti.f32), which[row, k])
+                        best[row, k] = ti.min(misfit, best[row, k])
+            for row in range(ti.min(CELL_ROWS, height - i * CELL_ROWS)):
+                y = i * CELL_ROWS + row
+                for k in range(ti.min(AT_ONCE, width - first)):
+                    if ti.cast(labels[y, first + k], ti.i32) != NO_SURFACE:
+                        labels[y, first + k] = ti.cast(which[row, k], ti.u8)
 
 
 def choose_surfaces(

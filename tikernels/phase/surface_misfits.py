@@ -160,18 +160,21 @@ def average_light_kernel(
             weights, y = matrix_of(phase_weights), i * rows
             for j in range(first, ti.min(first + AT_ONCE, width)):
                 middle = ti.min(j * columns + columns // 2, image.shape[1] - 1)
-                gain = gain_at(gains, spacing_px, y, middle)
-                total, last, most, cosine, sine = vec3(0.0), vec3(0.0), 0.0, 0.0, 0.0
-                for k in range(-reach, reach + 1):
-                    x = ti.min(ti.max(middle + k, 0), image.shape[1] - 1)
-                    seen = color_at(image, y, x)
-                    vector = weighed_vector(seen, gain, weights)
-                    cosine += vector.x * last.x + vector.y * last.y
-                    sine += vector.y * last.x - vector.x * last.y
-                    total, last, most = total + seen, vector, ti.max(most, seen.max())
-                # A phase that is linear over n pixels has the variance slope^2 (n^2 - 1) / 12.
-                slope = ti.select(cosine > 0.0, sine / ti.max(cosine, 1e-9), 1.0)
-                lost = 1.0 + reach * (reach + 1) / 6.0 * ti.min(slope * slope, 1.0)
+                total = color_at(image, y, middle)
+                most, lost = total.max(), 1.0
+                if reach > 0:
+                    gain = gain_at(gains, spacing_px, y, middle)
+                    total, last, cosine, sine = vec3(0.0), vec3(0.0), 0.0, 0.0
+                    for k in range(-reach, reach + 1):
+                        x = ti.min(ti.max(middle + k, 0), image.shape[1] - 1)
+                        seen = color_at(image, y, x)
+                        vector = weighed_vector(seen, gain, weights)
+                        cosine += vector.x * last.x + vector.y * last.y
+                        sine += vector.y * last.x - vector.x * last.y
+                        total, last, most = total + seen, vector, ti.max(most, seen.max())
+                    # A phase that is linear over n pixels has the variance slope^2 (n^2 - 1) / 12.
+                    slope = ti.select(cosine > 0.0, sine / ti.max(cosine, 1e-9), 1.0)
+                    lost += reach * (reach + 1) / 6.0 * ti.min(slope * slope, 1.0)
                 a, b = ti.min(y // spacing_px, blur.shape[0] - 1), ti.min(middle // spacing_px, blur.shape[1] - 1)
                 out_contrast[i, j] = blur[a, b] / lost
                 says = (most < clipped) & (ti.cast(unlit[ti.min(y, image.shape[0] - 1), middle], i32) == 0)
