@@ -109,9 +109,7 @@ class Gains:
         image = checks.read_array("image", image, (self.height, self.width, 3), *LEVEL_TYPES)
         rows, surfaces = self.window.rows, crosstalk.surfaces
         shown = (surfaces.unmixing, surfaces.ambient, surfaces.labels)
-        _collect_samples_kernel(surfaces.mixed)(
-            image, *shown, levels.intensity, rows, self.samples, self._color_sums
-        )
+        _collect_samples_kernel(surfaces.mixed)(image, *shown, levels.intensity, rows, self.samples, self._color_sums)
         self.window.smooth(self._color_sums, self._color_half, self._color_smooth)
         find_gains_kernel(self._color_smooth, False, self.gains)
         matrices = (crosstalk.inverse, crosstalk.matrix, crosstalk.waves, crosstalk.inverse_waves)

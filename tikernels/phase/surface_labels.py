@@ -29,7 +29,6 @@ from tikernels.phase.surface_misfits import (
     place_lanes,
 )
 from tikernels.phase.surfaces import NO_SURFACE
-from tikernels.strips import strip_count
 
 _Misfits = npt.NDArray[np.float32]
 _Labels = npt.NDArray[np.uint8]
@@ -231,8 +230,8 @@ def near_misfits(
     misfits: F32Array3, cells: I32Array2, near: F32Array1, along: F32Array1, surface: i32, i: i32, strip: i32
 ):
     """Return the squares of a surface's misfits around the pixels of a cell, averaged along the stripes and across."""
-    total, weight, first = cell_lanes(0.0), cell_lanes(1e-6), i * CELL_ROWS
-    for v in range(ti.max(first - near.shape[0] + 1, 0), ti.min(first + CELL_ROWS + near.shape[0] - 1, misfits.shape[1])):
+    total, weight, first, reach = cell_lanes(0.0), cell_lanes(1e-6), i * CELL_ROWS, near.shape[0] - 1
+    for v in range(ti.max(first - reach, 0), ti.min(first + CELL_ROWS + reach, misfits.shape[1])):
         left = row_misfits(misfits, cells, surface, v, strip)
         sums, counts = place_lanes(0.0), place_lanes(0.0)
         for u in ti.static(range(2 * _BESIDE + 1)):
@@ -240,7 +239,7 @@ def near_misfits(
                 share = ti.select(left[k + u] > SAYS_NOTHING, along[ti.abs(u - _BESIDE)], 0.0)
                 sums[k] += share * ti.min(left[k + u] * left[k + u], MOST_MISFIT)
                 counts[k] += share
-        for row in range(ti.max(v - first - near.shape[0] + 1, 0), ti.min(v - first + near.shape[0], CELL_ROWS)):
+        for row in range(ti.max(v - first - reach, 0), ti.min(v - first + reach + 1, CELL_ROWS)):
             share = near[ti.abs(v - first - row)]
             for k in range(AT_ONCE):
                 total[row, k] += share * sums[k]
