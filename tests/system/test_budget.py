@@ -117,8 +117,8 @@ def picture(tmp_path_factory):
 
 def test_a_first_frame(picture):
     first, other_size = last_line(_COUNT + _FRAMES, picture / "image.npy")
-    check(first, {"kernels": 41, "inlined": 845})
-    check(other_size, {"kernels": 2, "inlined": 25})
+    check(first, {"kernels": 41, "inlined": 808})
+    check(other_size, {"kernels": 2, "inlined": 28})
 
 
 def test_a_picture_with_all_its_files(picture, tmp_path):

@@ -28,15 +28,15 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import checks, runtime
-from tikernels._taichi import AnyArray3, F32Array1, F32Array2, F32Array3, U8Array2, f32, ti, vec3
+from tikernels._taichi import AnyArray3, F32Array1, F32Array2, F32Array3, Static, U8Array2, f32, i32, ti, vec3
 from tikernels.arrays import F32, LevelsImage, Mask
 from tikernels.launching import kernel
 from tikernels.phase.brightness_ripple import within_cycle
-from tikernels.phase.channel_template import load_harmonics, sharpened_cycle_and_slope
+from tikernels.phase.channel_template import load_harmonics, sharpened_cycle_and_slope, sharpening_of
 from tikernels.phase.crosstalk import Crosstalk
-from tikernels.phase.phase_fit import load_nodes, surface_model
+from tikernels.phase.phase_fit import node_model
 from tikernels.phase.phase_vector import TINY, color_at
-from tikernels.phase.surfaces import surface_at
+from tikernels.phase.surfaces import surface_ambient, surface_at, surface_matrix
 from tikernels.phase.white_level import white_level
 from tikernels.phase.wide_blur import wide_blur
 from tikernels.raw.linearization import LEVEL_TYPES
@@ -76,6 +76,59 @@ class FrameLight:
     """(3,) what a white surface shows under the projector's white, over the channels' mean; ones: not known."""
     coded: bool
     """Whether the pattern's contrast changes from cycle to cycle."""
+
+
+@ti.func
+def surface_model(
+    cycle: vec3,
+    slope: vec3,
+    color: vec3,
+    ambient: vec3,
+    surface: i32,
+    mixing: F32Array3,
+    besides: F32Array2,
+    mixed: Static,
+):
+    """Return a pixel's channels M, their change with phase M' and contrast W, all for s = 1, and with ambient B."""
+    model, change, swing, rest = color * cycle, color * slope, color * (cycle - 1.0), ambient
+    if ti.static(mixed):
+        matrix = surface_matrix(mixing, surface)
+        model, change, swing = matrix @ model, matrix @ change, matrix @ swing
+        rest = matrix @ ambient + surface_ambient(besides, surface)
+    return model, change, swing, rest
+
+
+@ti.func
+def load_nodes(
+    nodes: F32Array3,
+    sharpness: F32Array2,
+    spacing_px: Static,
+    y: i32,
+    place: i32,
+    colors: Static,
+    ambients: Static,
+    sharper: Static,
+):
+    """Fill a strip with A, B, and the factors of the second to fourth harmonic, gap by gap between nodes.
+
+    Gap j lies between nodes j - 1 and j; the first one begins half of it before the image, where `place` is 0.
+    """
+    in_gap = ti.static(min(spacing_px, STRIP))
+    row = ti.min(ti.max((y + 0.5) / spacing_px - 0.5, 0.0), ti.cast(nodes.shape[0] - 1, ti.f32))
+    right_color, right_ambient = node_model(nodes, row, place // spacing_px - 1)
+    for gap in range(STRIP // in_gap):
+        j = (place + gap * in_gap) // spacing_px
+        left_color, left_ambient = right_color, right_ambient
+        right_color, right_ambient = node_model(nodes, row, j)
+        color_slope = (right_color - left_color) * ti.static(1.0 / spacing_px)
+        ambient_slope = (right_ambient - left_ambient) * ti.static(1.0 / spacing_px)
+        factors = sharpening_of(sharpness[ti.cast(row, ti.i32), ti.min(j, nodes.shape[1] - 1)])
+        for number in range(in_gap):
+            k = gap * in_gap + number
+            along = ti.cast(place + k - j * spacing_px, ti.f32) + 0.5
+            set_color(colors, k, left_color + color_slope * along)
+            set_color(ambients, k, left_ambient + ambient_slope * along)
+            set_color(sharper, k, factors)
 
 
 @ti.func
