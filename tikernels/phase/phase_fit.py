@@ -51,7 +51,7 @@ from tikernels.phase.channel_template import cycles_and_slopes, load_harmonics, 
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.equalization import equalized_lanes
 from tikernels.phase.frame_statistics import FrameLevels
-from tikernels.phase.phase_vector import SIGMAS, TINY, arctangents, color_at, matrix_of
+from tikernels.phase.phase_vector import SIGMAS, TINY, arctangent_lanes, color_at, matrix_of
 from tikernels.phase.surfaces import (
     shows_surface,
     surface_at,
@@ -265,7 +265,7 @@ def _fit_phase_kernel(mixed: bool, spacing_px: int, wide: bool) -> Any:
                 vector = fringe_vector(through(unmixing, surface, bare, mixed), color, ambient, weights)
                 modulation = ti.sqrt(vector[0] * vector[0] + vector[1] * vector[1])
                 modulation *= (color[0] + color[1] + color[2]) / 3.0  # of channels as they are
-                begin = equalized_lanes(arctangents(vector[1], vector[0]), correction)
+                begin = equalized_lanes(arctangent_lanes(vector[1], vector[0]), correction)
                 cycle, slope = cycles_and_slopes(harmonics, begin, sharper)
                 mean, rest = through(mixing, surface, color, mixed), through(mixing, surface, ambient, mixed)
                 model = through(mixing, surface, [color[c] * cycle[c] for c in ti.static(range(3))], mixed)

@@ -61,10 +61,22 @@ def arctangent(y: f32, x: f32) -> f32:
 
 
 @ti.func
-def arctangents(y: Static, x: Static):
-    """Return lanes of `arctangent`: vectors have no bits of their signs."""
-    height = ti.max(y, 0.0 - y)
-    ratio = (x - ti.select(x < 0.0, 0.0 - height, height)) / ti.max(ti.max(x, 0.0 - x) + height, 1e-30)
+def absolute_lanes(values: Static):
+    """Return lanes of absolute values: whole vectors have no bits of their signs."""
+    return ti.max(values, 0.0 - values)
+
+
+@ti.func
+def wrap_lanes(angle: Static):
+    """Return lanes of `wrap`."""
+    return ti.select(angle > PI, angle - 2.0 * PI, ti.select(angle < -PI, angle + 2.0 * PI, angle))
+
+
+@ti.func
+def arctangent_lanes(y: Static, x: Static):
+    """Return lanes of `arctangent`."""
+    height = absolute_lanes(y)
+    ratio = (x - ti.select(x < 0.0, 0.0 - height, height)) / ti.max(absolute_lanes(x) + height, 1e-30)
     square = ratio * ratio
     angle = 0.0 * square
     for n in ti.static(range(len(_ATAN))):
