@@ -43,7 +43,7 @@ from tikernels.lanes import (
 from tikernels.launching import kernel
 from tikernels.phase.phase_change import RATE_ACROSS, RATE_ALONG, measure_rates, rates_shape
 from tikernels.phase.phase_vector import PI, TINY, absolute_lanes, wrap, wrap_lanes
-from tikernels.phase.wrapped_phase import LEAST_NO_PHASE, NO_PHASE, STEP_PHASE, has_phase, mark_no_phase_kernel
+from tikernels.phase.wrapped_phase import LEAST_NO_PHASE, NO_PHASE, STEP_PHASE, mark_no_phase_kernel
 
 # A pair of neighbours counts while each is within a radian of what the usual change leads to, and the surface bends
 # less between them than noise makes it, four standard deviations; or than the least, which round surfaces do within a
@@ -157,13 +157,12 @@ def _smooth_rows_kernel(pairs: int, wide: bool) -> Any:
                 centre[k] = values[lanes.count + k]
                 left[k], right[k] = values[lanes.count + k - 1], values[lanes.count + k + 1]
             # Without a neighbour the differences stay far beyond any phase.
-            beside = between_surfaces(
-                absolute_lanes(wrap_lanes(left - centre) + rate_along), absolute_lanes(wrap_lanes(right - centre) - rate_along)
-            )
+            to_left = absolute_lanes(wrap_lanes(left - centre) + rate_along)
+            to_right = absolute_lanes(wrap_lanes(right - centre) - rate_along)
             to_upper, to_lower = departure(centre - upper, rate_across), departure(lower - centre, rate_across)
             to_upper = ti.max(to_upper, ti.select(above == y, 2.0 * NO_NEIGHBOUR, 0.0))
             to_lower = ti.max(to_lower, ti.select(below == y, 2.0 * NO_NEIGHBOUR, 0.0))
-            step = ti.max(beside, between_surfaces(to_upper, to_lower))
+            step = ti.max(between_surfaces(to_left, to_right), between_surfaces(to_upper, to_lower))
             variance = 1.0 / (certainty + TINY)
             total, total_2, fourths = lanes.floats(0.0), lanes.floats(0.0), lanes.floats(0.0)
             count, squares = lanes.floats(1.0), lanes.floats(0.0)
