@@ -52,10 +52,7 @@ from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.equalization import equalized_lanes
 from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.phase_vector import SIGMAS, TINY, arctangent_lanes, color_at, matrix_of
-from tikernels.phase.surfaces import (
-    shows_surface,
-    surface_at,
-)
+from tikernels.phase.surfaces import shows_surface, surface_at, through
 from tikernels.phase.wrapped_phase import NO_PHASE
 from tikernels.raw.linearization import LEVEL_TYPES
 from tikernels.strips import strip_at, strip_count
@@ -112,19 +109,6 @@ def fringe_vector(channels: Static, color: Static, ambient: Static, weights: Sta
         (weights[k, 0] * light[0] + weights[k, 1] * light[1] + weights[k, 2] * light[2]) * share
         for k in ti.static(range(3))
     ]
-
-
-@ti.func
-def through(table: F32Array3, surface: i32, light: Static, mixed: Static):
-    """Return three channels' lanes by a surface's matrix; where nothing is mixed, as they are."""
-    return (
-        [
-            table[surface, c, 0] * light[0] + table[surface, c, 1] * light[1] + table[surface, c, 2] * light[2]
-            for c in ti.static(range(3))
-        ]
-        if ti.static(mixed)
-        else light
-    )
 
 
 @ti.func

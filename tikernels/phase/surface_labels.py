@@ -37,7 +37,6 @@ _Mask = npt.NDArray[np.bool_]
 # So many pixels beside sixteen count for them.
 _BESIDE = 4
 _wide_lanes = ti.types.vector(AT_ONCE + 2 * _BESIDE, ti.f32)
-cell_lanes = ti.types.matrix(CELL_ROWS, AT_ONCE, ti.f32)
 # Gaussians that misfits are averaged over: px across the stripes, and along them where pixels are asked; cycles, and
 # how much that one counts.
 _NEAR_PX, _ALONG_PX = 1.6, 2.0
@@ -190,15 +189,28 @@ def cells_of_pixels(lattice: Lattice, labels: _Labels, size: tuple[int, int]) ->
 
 
 @ti.func
-def place_at(values: F32Array3, surface: i32, v: f32, u: f32) -> f32:
-    """Interpolate a surface's values between places, bilinearly."""
-    v = ti.min(ti.max(v, 0.0), ti.cast(values.shape[1] - 1, ti.f32))
-    u = ti.min(ti.max(u, 0.0), ti.cast(values.shape[2] - 1, ti.f32))
-    i, j = ti.cast(v, ti.i32), ti.cast(u, ti.i32)
-    i1, j1 = ti.min(i + 1, values.shape[1] - 1), ti.min(j + 1, values.shape[2] - 1)
-    upper = values[surface, i, j] + (u - j) * (values[surface, i, j1] - values[surface, i, j])
-    lower = values[surface, i1, j] + (u - j) * (values[surface, i1, j1] - values[surface, i1, j])
-    return upper + (v - i) * (lower - upper)
+def place_at(values: F32Array3, surface: i32, v: f32, j: i32) -> f32:
+    """Interpolate a surface's values between two rows of places, in a column."""
+    row, column = ti.min(v, values.shape[1] - 1.0), ti.min(ti.max(j, 0), values.shape[2] - 1)
+    i = ti.cast(row, ti.i32)
+    upper = values[surface, i, column]
+    return upper + (row - i) * (values[surface, ti.min(i + 1, values.shape[1] - 1), column] - upper)
+
+
+@ti.func
+def values_between(values: F32Array3, surface: i32, v: f32, x: i32, columns: i32):
+    """Interpolate a surface's values between places, bilinearly, at sixteen pixels."""
+    result, ramp = place_lanes(0.0), place_lanes(0.0)
+    for k in range(AT_ONCE):
+        ramp[k] = k
+    first = (x + columns // 2) // columns
+    right = place_at(values, surface, v, first - 1)
+    for j in range(first, first + (AT_ONCE - 1) // columns + 2):
+        left = right
+        right = place_at(values, surface, v, j)
+        along = ramp - ti.cast(j * columns - columns // 2 - x, ti.f32)  # from the last place on
+        result = ti.select(along < 0.0, result, left + (right - left) / columns * (along + 0.5))
+    return result
 
 
 @ti.func
@@ -229,25 +241,30 @@ def row_misfits(misfits: F32Array3, cells: I32Array2, surface: i32, y: i32, stri
 def near_misfits(
     misfits: F32Array3, cells: I32Array2, near: F32Array1, along: F32Array1, surface: i32, i: i32, strip: i32
 ):
-    """Return the squares of a surface's misfits around the pixels of a cell, averaged along the stripes and across."""
-    total, weight, first, reach = cell_lanes(0.0), cell_lanes(1e-6), i * CELL_ROWS, near.shape[0] - 1
+    """Return the squares of a surface's misfits around a cell's rows, averaged along the stripes, then across."""
+    first, reach = i * CELL_ROWS, near.shape[0] - 1
+    total, weight = (
+        [place_lanes(0.0) for _ in ti.static(range(CELL_ROWS))],
+        [place_lanes(1e-6) for _ in ti.static(range(CELL_ROWS))],
+    )
     for v in range(ti.max(first - reach, 0), ti.min(first + CELL_ROWS + reach, misfits.shape[1])):
-        left = row_misfits(misfits, cells, surface, v, strip)
+        left, part = row_misfits(misfits, cells, surface, v, strip), place_lanes(0.0)
         sums, counts = place_lanes(0.0), place_lanes(0.0)
         for u in ti.static(range(2 * _BESIDE + 1)):
             for k in range(AT_ONCE):
-                share = ti.select(left[k + u] > SAYS_NOTHING, along[ti.abs(u - _BESIDE)], 0.0)
-                sums[k] += share * ti.min(left[k + u] * left[k + u], MOST_MISFIT)
-                counts[k] += share
-        for row in range(ti.max(v - first - reach, 0), ti.min(v - first + reach + 1, CELL_ROWS)):
-            share = near[ti.abs(v - first - row)]
-            for k in range(AT_ONCE):
-                total[row, k] += share * sums[k]
-                weight[row, k] += share * counts[k]
-    return total / weight
+                part[k] = left[k + u]
+            share = ti.select(part > SAYS_NOTHING, along[ti.abs(u - _BESIDE)], 0.0)
+            sums += share * ti.min(part * part, MOST_MISFIT)
+            counts += share
+        for row in ti.static(range(CELL_ROWS)):
+            distance = ti.abs(v - first - row)
+            if distance <= reach:
+                total[row] += near[distance] * sums
+                weight[row] += near[distance] * counts
+    return [total[row] / weight[row] for row in ti.static(range(CELL_ROWS))]
 
 
-@kernel
+@kernel(whole_vectors=True)
 def choose_surfaces_kernel(
     misfits: F32Array3,  # (N, H, W) standard deviations of pixels; see `surface_misfits_kernel`
     around: F32Array3,  # (N, h, w) their squares' averages around places of the lattice
@@ -262,20 +279,21 @@ def choose_surfaces_kernel(
     for t in range(cells.shape[0] * strips):
         i, strip, first = t // strips, t % strips, t % strips * AT_ONCE
         if cells[i, strip] != 0:
-            best, which = cell_lanes(1e9), cell_lanes(0.0)
+            best = [place_lanes(1e9) for _ in ti.static(range(CELL_ROWS))]
+            which = [place_lanes(0.0) for _ in ti.static(range(CELL_ROWS))]
             for surface in range(misfits.shape[0]):
                 if (cells[i, strip] >> surface) & 1 == 1:
                     value = near_misfits(misfits, cells, near, along, surface, i, strip)
-                    for row, k in ti.ndrange(CELL_ROWS, AT_ONCE):
-                        y, x = (i * CELL_ROWS + row) / rows, (first + k + 0.5) / columns - 0.5
-                        misfit = value[row, k] + _AROUND * place_at(around, surface, y, x)
-                        which[row, k] = ti.select(misfit < best[row, k], ti.cast(surface, ti.f32), which[row, k])
-                        best[row, k] = ti.min(misfit, best[row, k])
-            for row in range(ti.min(CELL_ROWS, height - i * CELL_ROWS)):
+                    for row in ti.static(range(CELL_ROWS)):
+                        beyond = values_between(around, surface, (i * CELL_ROWS + row) / rows, first, columns)
+                        misfit = value[row] + _AROUND * beyond
+                        which[row] = ti.select(misfit < best[row], ti.cast(surface, ti.f32), which[row])
+                        best[row] = ti.min(misfit, best[row])
+            for row in ti.static(range(CELL_ROWS)):
                 y = i * CELL_ROWS + row
-                for k in range(ti.min(AT_ONCE, width - first)):
+                for k in range(ti.select(y < height, ti.min(AT_ONCE, width - first), 0)):
                     if ti.cast(labels[y, first + k], ti.i32) != NO_SURFACE:
-                        labels[y, first + k] = ti.cast(which[row, k], ti.u8)
+                        labels[y, first + k] = ti.cast(which[row][k], ti.u8)
 
 
 def choose_surfaces(

@@ -86,3 +86,16 @@ def neutral_light(
         surface = surface_at(labels, y, x)
         neutral = surface_matrix(unmixing, surface) @ (light - surface_ambient(ambient, surface))
     return neutral
+
+
+@ti.func
+def through(table: F32Array3, surface: i32, light: Static, mixed: Static):
+    """Return three channels' lanes by a surface's matrix; where nothing is mixed, as they are."""
+    return (
+        [
+            table[surface, c, 0] * light[0] + table[surface, c, 1] * light[1] + table[surface, c, 2] * light[2]
+            for c in ti.static(range(3))
+        ]
+        if ti.static(mixed)
+        else light
+    )
