@@ -93,6 +93,12 @@ def node_model(nodes: F32Array3, row: f32, j: i32):
 
 
 @ti.func
+def lane_of(channels: Static, k: i32) -> vec3:
+    """Return one lane of a list of three channels."""
+    return vec3(channels[0][k], channels[1][k], channels[2][k])
+
+
+@ti.func
 def dot(a: Static, b: Static):
     """Return the product of two lists of three channels' lanes."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
@@ -269,7 +275,7 @@ def _fit_phase_kernel(mixed: bool, spacing_px: int, wide: bool) -> Any:
                 for c in ti.static(range(5)):
                     found[c] = ti.select(own == ti.cast(surface, ti.f32), result[c], found[c])
             for k in range(inside):
-                lit = is_lit(vec3(light[0][k], light[1][k], light[2][k]), min_intensity, clipped)
+                lit = is_lit(lane_of(light, k), min_intensity, clipped)
                 shows = lit & shows_surface(labels, y, start + k) if ti.static(mixed) else lit
                 found[0][k] = ti.select(shows, found[0][k], NO_PHASE)
             put_lanes(out_phase, y, start // count, found[0])
