@@ -117,7 +117,7 @@ def picture(tmp_path_factory):
 
 def test_a_first_frame(picture):
     first, other_size = last_line(_COUNT + _FRAMES, picture / "image.npy")
-    check(first, {"kernels": 41, "inlined": 815})
+    check(first, {"kernels": 41, "inlined": 817})
     check(other_size, {"kernels": 2, "inlined": 28})
 
 

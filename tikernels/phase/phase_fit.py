@@ -52,7 +52,7 @@ from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.equalization import equalized_lanes
 from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.phase_vector import SIGMAS, TINY, arctangent_lanes, color_at, matrix_of
-from tikernels.phase.surfaces import shows_surface, surface_at, through
+from tikernels.phase.surfaces import matrix_lanes, shows_surface, surface_at, through
 from tikernels.phase.wrapped_phase import NO_PHASE
 from tikernels.raw.linearization import LEVEL_TYPES
 from tikernels.strips import strip_at, strip_count
@@ -175,7 +175,7 @@ def nodes_between(nodes: F32Array3, sharpness: F32Array2, spacing_px: Static, y:
     factors, ramp = [lanes(0.0) for _ in ti.static(range(3))], lanes(0.0)
     for k in range(lanes.n):
         ramp[k] = k
-    for j in range(first, first + ti.static((lanes.n - 1) // spacing_px + 2)):
+    for j in range(first, (x + lanes.n - 1 + spacing_px // 2) // spacing_px + 1):
         left_color, left_ambient = right_color, right_ambient
         right_color, right_ambient = node_model(nodes, row, j)
         sharper = sharpening_of(sharpness[ti.cast(row, ti.i32), ti.min(j, nodes.shape[1] - 1)])
@@ -252,14 +252,15 @@ def _fit_phase_kernel(mixed: bool, spacing_px: int, wide: bool) -> Any:
                 if (surfaces >> surface) & 1 == 0:
                     continue
                 bare = [light[c] - besides[surface, c] for c in ti.static(range(3))]
-                vector = fringe_vector(through(unmixing, surface, bare, mixed), color, ambient, weights)
+                mix, unmix = matrix_lanes(mixing, surface, lanes), matrix_lanes(unmixing, surface, lanes)
+                vector = fringe_vector(through(unmix, bare, mixed), color, ambient, weights)
                 modulation = ti.sqrt(vector[0] * vector[0] + vector[1] * vector[1])
                 modulation *= (color[0] + color[1] + color[2]) / 3.0  # of channels as they are
                 begin = equalized_lanes(arctangent_lanes(vector[1], vector[0]), correction)
                 cycle, slope = cycles_and_slopes(harmonics, begin, sharper)
-                mean, rest = through(mixing, surface, color, mixed), through(mixing, surface, ambient, mixed)
-                model = through(mixing, surface, [color[c] * cycle[c] for c in ti.static(range(3))], mixed)
-                change = through(mixing, surface, [color[c] * slope[c] for c in ti.static(range(3))], mixed)
+                mean, rest = through(mix, color, mixed), through(mix, ambient, mixed)
+                model = through(mix, [color[c] * cycle[c] for c in ti.static(range(3))], mixed)
+                change = through(mix, [color[c] * slope[c] for c in ti.static(range(3))], mixed)
                 step, precision, left, brightness = fitted_step(
                     [weight[c] * (bare[c] - rest[c]) for c in ti.static(range(3))],
                     [weight[c] * model[c] for c in ti.static(range(3))],

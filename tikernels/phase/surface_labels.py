@@ -37,6 +37,7 @@ _Mask = npt.NDArray[np.bool_]
 # So many pixels beside sixteen count for them.
 _BESIDE = 4
 _wide_lanes = ti.types.vector(AT_ONCE + 2 * _BESIDE, ti.f32)
+cell_lanes = ti.types.matrix(CELL_ROWS, AT_ONCE, ti.f32)
 # Gaussians that misfits are averaged over: px across the stripes, and along them where pixels are asked; cycles, and
 # how much that one counts.
 _NEAR_PX, _ALONG_PX = 1.6, 2.0
@@ -205,7 +206,7 @@ def values_between(values: F32Array3, surface: i32, v: f32, x: i32, columns: i32
         ramp[k] = k
     first = (x + columns // 2) // columns
     right = place_at(values, surface, v, first - 1)
-    for j in range(first, first + (AT_ONCE - 1) // columns + 2):
+    for j in range(first, (x + AT_ONCE - 1 + columns // 2) // columns + 1):
         left = right
         right = place_at(values, surface, v, j)
         along = ramp - ti.cast(j * columns - columns // 2 - x, ti.f32)  # from the last place on
@@ -284,9 +285,15 @@ def choose_surfaces_kernel(
             for surface in range(misfits.shape[0]):
                 if (cells[i, strip] >> surface) & 1 == 1:
                     value = near_misfits(misfits, cells, near, along, surface, i, strip)
+                    beyond = cell_lanes(0.0)
+                    for row in range(CELL_ROWS):
+                        between = values_between(around, surface, (i * CELL_ROWS + row) / rows, first, columns)
+                        for k in range(AT_ONCE):
+                            beyond[row, k] = between[k]
                     for row in ti.static(range(CELL_ROWS)):
-                        beyond = values_between(around, surface, (i * CELL_ROWS + row) / rows, first, columns)
-                        misfit = value[row] + _AROUND * beyond
+                        misfit = value[row]
+                        for k in range(AT_ONCE):
+                            misfit[k] += _AROUND * beyond[row, k]
                         which[row] = ti.select(misfit < best[row], ti.cast(surface, ti.f32), which[row])
                         best[row] = ti.min(misfit, best[row])
             for row in ti.static(range(CELL_ROWS)):

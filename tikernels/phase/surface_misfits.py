@@ -25,7 +25,7 @@ from tikernels.phase.crosstalk import Crosstalk, weighed_vector
 from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.phase_vector import absolute_lanes, color_at, matrix_of, phase_weights
 from tikernels.phase.surface_matrix import waves
-from tikernels.phase.surfaces import through
+from tikernels.phase.surfaces import matrix_lanes, through
 from tikernels.raw.linearization import LEVEL_TYPES
 from tikernels.strips import strip_count
 
@@ -274,20 +274,21 @@ def surface_misfits_kernel(
             for surface in range(out.shape[0]):
                 if (bits >> surface) & 1 == 1:
                     bare = [seen[c] - ambient[surface, c] for c in ti.static(range(3))]
-                    vector = through(unmixing, surface, bare, True)
+                    inverse = matrix_lanes(unmixing, surface, place_lanes)
+                    vector = through(inverse, bare, True)
                     place = place_around(vector[0], vector[1])
                     for k in range(AT_ONCE):
                         at = ti.min(ti.cast(place[k], ti.i32), _PLACES - 1)
                         ring[k], turn[k] = rho[0, at], rho[1, at]
                     swing = vector[2] * sharp * ring
                     size = ti.max(ti.sqrt(vector[0] * vector[0] + vector[1] * vector[1]), 1e-9)
-                    inverse = 1.0 / size
-                    cosine, sine, turned = vector[0] * inverse, vector[1] * inverse, vector[2] * sharp * turn * inverse
+                    unit = 1.0 / size
+                    cosine, sine, turned = vector[0] * unit, vector[1] * unit, vector[2] * sharp * turn * unit
                     direction = [cosine + sine * turned, sine - cosine * turned, 0.0 - sharp * ring]
                     variance = uneven * swing * swing
                     for c in ti.static(range(3)):
-                        across = direction[0] * unmixing[surface, 0, c] + direction[1] * unmixing[surface, 1, c]
-                        across += direction[2] * unmixing[surface, 2, c]
+                        across = direction[0] * inverse[c] + direction[1] * inverse[c + 3]
+                        across += direction[2] * inverse[c + 6]
                         doubt = _AMBIENT_ERROR * ambient[surface, c]
                         noise = read_variance + noise_gain * ti.max(seen[c], 0.0) + wrong * wrong + doubt * doubt
                         variance += across * across * noise
