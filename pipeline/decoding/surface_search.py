@@ -336,12 +336,13 @@ class SurfaceSearch:
             samples = replace(samples, variance=samples.variance + (_MODEL_ERROR * light) ** 2)
         given = (expected, self._ambient, known.light, known.doubt)
         results = [fit_matrices(samples, by, *given, before, fit_light=not ends) for by in predictions]
+        if before is None:  # only a second step shows which prediction fits: ambient light hides it from the first
+            both = zip(predictions, results, strict=True)
+            results = [fit_matrices(samples, by, *given, first, fit_light=True) for by, first in both]
         best = int(np.argmin([result.cost for result in results]))
         if len(level) == 1 and self._bands[best] is BROAD:
             return None
         self._bands = [self._bands[best]]
-        if before is None:  # the first step is the largest
-            return fit_matrices(samples, predictions[best], *given, results[best], fit_light=True)
         return results[best]
 
     def _chosen(self) -> dict[int, npt.NDArray[np.intp]]:

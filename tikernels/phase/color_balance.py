@@ -203,15 +203,13 @@ def _collect_samples_kernel(mixed: bool) -> Any:
             i, j = block // blocks, block % blocks
             total = vec3(0.0)
             for y in range(i * rows, ti.min((i + 1) * rows, height)):
-                x = j * 2 * rows + (y & 1) * rows
-                kept = vec3(0.0)
-                if x < width:
-                    light = color_at(image, y, x)
-                    if light.sum() > 3.0 * min_intensity:
-                        if ti.static(not mixed):
-                            kept = light
-                        elif shows_surface(labels, y, x):
-                            kept = neutral_light(light, unmixing, besides, labels, y, x, mixed)
+                x, kept = j * 2 * rows + (y & 1) * rows, vec3(0.0)
+                light = color_at(image, y, ti.min(x, width - 1))
+                lit = (x < width) & (light.sum() > 3.0 * min_intensity)
+                if ti.static(mixed):
+                    lit = lit & shows_surface(labels, y, x)
+                if lit:
+                    kept = neutral_light(light, unmixing, besides, labels, y, x, mixed)
                 total += kept
                 for k in ti.static(range(3)):
                     out_samples[y, j, k] = kept[k]
