@@ -19,8 +19,11 @@ and inside
         for k in range(lanes.count): compute
         store_lanes(out, y, place, width, values, wide)
 
+or, in half of the time where a compiler does not know how wide the processor's vectors are, with whole vectors: sums,
+products, quotients, `ti.min`, `ti.max`, `ti.sqrt`, `ti.floor` and `ti.select` take them, all else takes their numbers.
+
 A GPU's rows are arrays of numbers, in strips (`strips.py`). Kernels that keep vectors must not use any but lanes: small
-vectors, as of three channels, would be computed as such.
+vectors, as of three channels, would be computed as such; lists of three lanes are not.
 """
 
 from dataclasses import dataclass
@@ -38,8 +41,8 @@ LANES = 16
 #: Where a vector of sixteen float32 may begin: at a multiple of its size.
 VECTOR_BYTES = 64
 
-#: Pixels of a strip of numbers: of fewer a CPU's compiler takes each by itself.
-_NUMBERS = 32
+# Pixels that a thread of a GPU works on: at least as many as a window reaches to either side.
+_NUMBERS = 8
 #: Sixteen numbers of samples, or of blocks of them.
 float_lanes = ti.types.vector(LANES, ti.f32)
 

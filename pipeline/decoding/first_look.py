@@ -61,8 +61,6 @@ class FirstLook:
         What they were balanced with.
     levels : FrameLevels
         The frame's noise, and what a pixel needs to have a phase.
-    correction : (bins + 1,) float32
-        rad to add to the arctangent; see `equalization.correction_table`.
 
     Attributes
     ----------
@@ -80,10 +78,9 @@ class FirstLook:
         model: ChannelModel,
         crosstalk: Crosstalk,
         levels: FrameLevels,
-        correction: npt.NDArray[np.float32],
     ) -> None:
         gains = model.gains
-        self.device_image, self.gains, self.levels, self.correction = image, gains, levels, correction
+        self.device_image, self.gains, self.levels = image, gains, levels
         self._model, self.crosstalk = model, crosstalk
         self.spacing_px = gains.spacing_px
         self._smooth = runtime.to_host(gains.smooth)
@@ -246,8 +243,7 @@ class FirstLook:
         bare = np.arctan2(vector[:, 1], vector[:, 0])
         noise = self.levels.read_noise**2 + self.levels.noise_gain * np.maximum(channels, 0)
         noise += (_LEAST_NOISE * np.maximum(channels, _DARK * self.levels.white)) ** 2
-        phase = bare + np.interp(bare, np.linspace(-np.pi, np.pi, len(self.correction)), self.correction)
-        found = (channels, noise, phase.astype(np.float32), np.maximum(mean, TINY), sharp)
+        found = (channels, noise, bare, np.maximum(mean, TINY), sharp)
         return SurfaceSamples(*found, share, contrast_doubt)
 
 

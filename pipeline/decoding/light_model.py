@@ -172,7 +172,7 @@ class LightModel:
             model.fit(crosstalk, correction, cycle, self.contrast_doubt)
             cycle = model.template
         if self._spectral is None and (self._learned is not None or self._matrix is not None):
-            look = FirstLook(image, model, crosstalk, levels, correction)
+            look = FirstLook(image, model, crosstalk, levels)
             surfaces, odd = find_surfaces(look, self._surface_prior(cycle), before)
         if isinstance(surfaces, FoundSurfaces):
             crosstalk, cycle = surfaces.crosstalk, surfaces.template

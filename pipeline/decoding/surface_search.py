@@ -45,8 +45,6 @@ _GOLDEN = 0.6180339887498949
 _NEUTRAL = 0.05
 # How often the common light is fitted, too, at most, and up to so many new surfaces are made.
 _TURNS, _NEW = 2, 5
-# Newton's steps in the first fit; others begin where the last one ended.
-_STEPS = 3
 # The largest number of surfaces.
 _MOST = 16
 # Under a code surfaces whose colours differ by less (natural logarithm) are one paint: its contrasts look like another
@@ -193,7 +191,7 @@ def _acts_after(look: FirstLook, known: SurfacePrior, white: FloatArray) -> bool
         np.stack([part, part]) for part in (light.T, np.ones(len(light)), ambient, weights)
     )
     samples = look.surface_samples(light, even, even, weights, ambient, np.ones(2), known.contrast_doubt)
-    found = compare_samples(samples, matrices, ambient, known.light, samples.phase)
+    found = compare_samples(samples, matrices, ambient, known.light)
     after, otherwise = np.median(np.abs(found.residual) / np.sqrt(found.variance), axis=2)[:, 0]
     # Where neither explains the light, within about a standard deviation, other surfaces are looked for.
     return bool(after < min(otherwise, 1.0))
@@ -337,8 +335,10 @@ class SurfaceSearch:
         if ends:
             samples = replace(samples, variance=samples.variance + (_MODEL_ERROR * light) ** 2)
         given = (expected, self._ambient, known.light, known.doubt)
-        steps = _STEPS if before is None else 1
-        results = [fit_matrices(samples, by, *given, before, fit_light=not ends, steps=steps) for by in predictions]
+        results = [fit_matrices(samples, by, *given, before, fit_light=not ends) for by in predictions]
+        if before is None:  # only a second step shows which prediction fits: ambient light hides it from the first
+            both = zip(predictions, results, strict=True)
+            results = [fit_matrices(samples, by, *given, first, fit_light=True) for by, first in both]
         best = int(np.argmin([result.cost for result in results]))
         if len(level) == 1 and self._bands[best] is BROAD:
             return None

@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from tikernels._taichi import f32, i32, ti, u1
+from tikernels._taichi import f32, i32, ti
+from tikernels.phase.phase_vector import absolute_lanes
 
 Original = Any
 Replacement = Callable[[Original], Any]
@@ -265,15 +266,15 @@ def without_pairs(original: Original) -> Any:
 
 
 @ti.func
-def never_between(one: f32, other: f32) -> u1:
+def never_between(one: ti.template(), other: ti.template()):
     """Never take a pixel to be between two surfaces."""
-    return one > 1e30
+    return ti.min(one, other, -1.0)
 
 
 @ti.func
-def counts_always(one: f32, other: f32, per_bend: f32) -> f32:
+def counts_always(one: ti.template(), other: ti.template(), variance: ti.template()):
     """Count every neighbour that has a phase."""
-    return ti.select(ti.max(ti.abs(one), ti.abs(other)) < 1e3, 1.0, 0.0)
+    return ti.select(ti.max(absolute_lanes(one), absolute_lanes(other)) < 1e3, 0.0 * one + 1.0, 0.0)
 
 
 @ti.func
@@ -355,7 +356,7 @@ _ALL = (
     Mechanism("sharpness", "how sharp the fringe is from place to place", "r-deep-out-of-focus",
         {"fringe_sharpness:FringeSharpness.refine": gives(False)}, "fringe_sharpness"),
     Mechanism("model fit", "the phase that fits the channels' model best, not the arctangent", "bust-skin-1.8",
-        {"phase_fit:_MAX_STEP": gives(1e-09)}, "phase_fit:fitted_step phase_fit:estimator_of"),
+        {"phase_fit:_MAX_STEP": gives(1e-09)}, "phase_fit:fitted_step phase_fit:across"),
     Mechanism("contrast's variance", "how far a pixel's contrast may be from its neighbourhood's", "bust-skin-2-coded",
         {"light_model:_PLAIN_DOUBT": gives(0.0), "light_model:_CODED_DOUBT": gives(0.0)}, ""),
     Mechanism("misfit's weight", "pixels that the model does not fit count less", "r-objects",
@@ -381,7 +382,7 @@ _ALL = (
     Mechanism("smoothing's quadric", "a quadric and not a mean", "bust-skin-1.8",
         {"smoothing:quadric_weights": ti_function(mean_weights)}, "smoothing:quadric_share"),
     Mechanism("smoothing's edges", "neighbours beyond a bend count less", "objects-skin-2",
-        {"smoothing:pair_counts": ti_function(counts_always)}, "smoothing:inverse_bend"),
+        {"smoothing:pair_counts": ti_function(counts_always)}, "smoothing:pair_counts"),
     Mechanism("between surfaces", "pixels between two surfaces are left out", "objects-skin-2",
         {"smoothing:between_surfaces": ti_function(never_between)}, "smoothing:between_surfaces"),
     # Sigma.

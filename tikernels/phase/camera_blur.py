@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from tikernels import checks
-from tikernels._taichi import f32, ti
+from tikernels._taichi import Static, ti
 from tikernels.arrays import F32
 from tikernels.lanes import (
     Lanes,
@@ -33,8 +33,8 @@ from tikernels.lanes import (
 )
 from tikernels.launching import kernel
 from tikernels.phase.phase_fit import doubted
-from tikernels.phase.phase_vector import TINY, wrap
-from tikernels.phase.wrapped_phase import NO_PHASE, has_phase
+from tikernels.phase.phase_vector import TINY, absolute_lanes, wrap_lanes
+from tikernels.phase.wrapped_phase import LEAST_NO_PHASE, NO_PHASE
 
 #: v, px^2: a pixel's area makes 1/12, and a lens that is made for the sensor, with a blur of half a pixel, 1/4.
 VARIANCE_PX = 1 / 3
@@ -45,15 +45,16 @@ _SAME_SLOPE, _STEEPEST = 0.4, 1.2
 
 
 @ti.func
-def turned_by_blur(before: f32, here: f32, after: f32, dim: f32, bright: f32) -> f32:
-    """Return grad(log s) grad(phi) along one direction, from the phases in a row and the brightness at both ends.
+def turned_by_blur(before: Static, here: Static, after: Static, dim: Static, bright: Static):
+    """Return grad(log s) grad(phi) along one direction, from lanes of phases in a row and the brightness at both ends.
 
     Zero beside a step, and where there is no phase.
     """
-    one, other = wrap(here - before), wrap(after - here)
-    smooth = (ti.abs(one - other) < _SAME_SLOPE) & (ti.abs(one + other) < 2.0 * _STEEPEST)
+    one, other = wrap_lanes(here - before), wrap_lanes(after - here)
     # (s1 - s0) / (s1 + s0) is the hyperbolic tangent of half the logarithms' difference: it cannot run away.
-    return ti.select(smooth, 0.5 * (one + other) * (bright - dim) / ti.max(bright + dim, TINY), 0.0)
+    turned = 0.5 * (one + other) * (bright - dim) / ti.max(bright + dim, TINY)
+    turned = ti.select(absolute_lanes(one - other) < _SAME_SLOPE, turned, 0.0)
+    return ti.select(absolute_lanes(one + other) < 2.0 * _STEEPEST, turned, 0.0)
 
 
 @cache
@@ -81,13 +82,16 @@ def _undo_camera_blur_kernel(wide: bool) -> Any:
             light_below = load_lanes(brightness, lanes.floats, below, place, width, wide)
             sure = load_lanes(precision, lanes.floats, y, place, width, wide)
             misfit = load_lanes(out_misfit, lanes.floats, y, place, width, wide)
-            turned = lanes.floats(0.0)
+            centre, left, right = lanes.floats(0.0), lanes.floats(0.0), lanes.floats(0.0)
+            dim, bright = lanes.floats(0.0), lanes.floats(0.0)
             for k in range(lanes.count):
                 x = lanes.count + k
-                turn = turned_by_blur(upper[k], here[x], lower[k], light_above[k], light_below[k])
-                turn += turned_by_blur(here[x - 1], here[x], here[x + 1], light[x - 1], light[x + 1])
-                turned[k] = here[x] - ti.select(has_phase(here[x]), VARIANCE_PX * turn, 0.0)
-                misfit[k] = doubted(misfit[k], _DOUBT_PX * turn, sure[k])
+                centre[k], left[k], right[k] = here[x], here[x - 1], here[x + 1]
+                dim[k], bright[k] = light[x - 1], light[x + 1]
+            turn = turned_by_blur(upper, centre, lower, light_above, light_below)
+            turn += turned_by_blur(left, centre, right, dim, bright)
+            turned = centre - ti.select(centre < LEAST_NO_PHASE, VARIANCE_PX * turn, 0.0)
+            misfit = doubted(misfit, _DOUBT_PX * turn, sure)
             store_lanes(out, y, place, width, turned, wide)
             store_lanes(out_misfit, y, place, width, misfit, wide)
 

@@ -136,17 +136,22 @@ def cycle_and_slope(harmonics: Static, phase: f32):
 @ti.func
 def sharpened_cycle_and_slope(harmonics: Static, phase: f32, factors: vec3):
     """Return `cycle_and_slope` of harmonics that are to be multiplied by these factors; see `sharpening_of`."""
+    cycle, slope = cycles_and_slopes(harmonics, phase, factors)
+    return vec3(cycle), vec3(slope)
+
+
+@ti.func
+def cycles_and_slopes(harmonics: Static, phase: Static, factors: Static):
+    """Return lists of `sharpened_cycle_and_slope`'s three channels; phase and factors may be lanes."""
     cosine, sine = cosine_and_sine(phase)
-    cycle, slope = vec3(1.0), vec3(0.0)
+    cycle = [1.0 + harmonics[c, 0] * cosine + harmonics[c, HARMONICS] * sine for c in ti.static(range(3))]
+    slope = [harmonics[c, HARMONICS] * cosine - harmonics[c, 0] * sine for c in ti.static(range(3))]
     real, imaginary = cosine, sine
-    for n in ti.static(range(1, HARMONICS + 1)):
-        even, odd = real, imaginary
-        if ti.static(n > 1):
-            even, odd = factors[n - 2] * real, factors[n - 2] * imaginary
-        for channel in ti.static(range(3)):
-            of_cosine, of_sine = harmonics[channel, n - 1], harmonics[channel, HARMONICS + n - 1]
-            cycle[channel] += of_cosine * even + of_sine * odd
-            slope[channel] += n * (of_sine * even - of_cosine * odd)
-        if ti.static(n < HARMONICS):
-            real, imaginary = real * cosine - imaginary * sine, real * sine + imaginary * cosine
+    for n in ti.static(range(2, HARMONICS + 1)):
+        real, imaginary = real * cosine - imaginary * sine, real * sine + imaginary * cosine
+        even, odd = factors[n - 2] * real, factors[n - 2] * imaginary
+        for c in ti.static(range(3)):
+            of_cosine, of_sine = harmonics[c, n - 1], harmonics[c, HARMONICS + n - 1]
+            cycle[c] += of_cosine * even + of_sine * odd
+            slope[c] += n * (of_sine * even - of_cosine * odd)
     return cycle, slope

@@ -109,8 +109,7 @@ class Gains:
         image = checks.read_array("image", image, (self.height, self.width, 3), *LEVEL_TYPES)
         rows, surfaces = self.window.rows, crosstalk.surfaces
         shown = (surfaces.unmixing, surfaces.ambient, surfaces.labels)
-        _collect_samples_kernel(surfaces.mixed)(image, *shown, levels.intensity, rows, self.samples)
-        sum_blocks_kernel(self.samples, rows, self._color_sums)
+        _collect_samples_kernel(surfaces.mixed)(image, *shown, levels.intensity, rows, self.samples, self._color_sums)
         self.window.smooth(self._color_sums, self._color_half, self._color_smooth)
         find_gains_kernel(self._color_smooth, False, self.gains)
         matrices = (crosstalk.inverse, crosstalk.matrix, crosstalk.waves, crosstalk.inverse_waves)
@@ -196,22 +195,26 @@ def _collect_samples_kernel(mixed: bool) -> Any:
         min_intensity: f32,  # levels; darker pixels are left out
         rows: i32,
         out_samples: F32Array3,  # (H, Wb, 3) a neutral surface's channels; 0 where left out
+        out_sums: F32Array3,  # (Hb, Wb, 3) of every block's samples
     ):
-        """Take one pixel a row of every block."""
-        width, blocks = image.shape[1], out_samples.shape[1]
-        for number in range(out_samples.shape[0] * blocks):
-            y, j = number // blocks, number % blocks
-            x = j * 2 * rows + (y & 1) * rows
-            kept = vec3(0.0)
-            if x < width:
-                light = color_at(image, y, x)
-                if light.sum() > 3.0 * min_intensity:
-                    if ti.static(not mixed):
-                        kept = light
-                    elif shows_surface(labels, y, x):
-                        kept = neutral_light(light, unmixing, besides, labels, y, x, mixed)
+        """Take one pixel a row of every block, and sum up each block's."""
+        height, width, blocks = image.shape[0], image.shape[1], out_sums.shape[1]
+        for block in range(out_sums.shape[0] * blocks):
+            i, j = block // blocks, block % blocks
+            total = vec3(0.0)
+            for y in range(i * rows, ti.min((i + 1) * rows, height)):
+                x, kept = j * 2 * rows + (y & 1) * rows, vec3(0.0)
+                light = color_at(image, y, ti.min(x, width - 1))
+                lit = (x < width) & (light.sum() > 3.0 * min_intensity)
+                if ti.static(mixed):
+                    lit = lit & shows_surface(labels, y, x)
+                if lit:
+                    kept = neutral_light(light, unmixing, besides, labels, y, x, mixed)
+                total += kept
+                for k in ti.static(range(3)):
+                    out_samples[y, j, k] = kept[k]
             for k in ti.static(range(3)):
-                out_samples[y, j, k] = kept[k]
+                out_sums[i, j, k] = total[k]
 
     return collect_samples_kernel
 
@@ -296,23 +299,6 @@ def predict_blocks_kernel(
             fringed = ti.select(ti.abs(turn[1, k]) < least_turn * turn[0, k], 0.0, 1.0)
             for c in ti.static(range(_WINDOW_SUMS)):
                 out_sums[i, first + k, c] = fringed * sums[c, k]
-
-
-@kernel
-def sum_blocks_kernel(
-    samples: F32Array3,  # (H, Wb, 3)
-    rows: i32,
-    out_sums: F32Array3,  # (Hb, Wb, 3)
-):
-    """Sum up every block's channels."""
-    height = samples.shape[0]
-    for block in range(out_sums.shape[0] * out_sums.shape[1]):
-        i, j = block // out_sums.shape[1], block % out_sums.shape[1]
-        total = vec3(0.0)
-        for y in range(i * rows, ti.min((i + 1) * rows, height)):
-            total += sample_at(samples, y, j)
-        for k in ti.static(range(3)):
-            out_sums[i, j, WindowSum.SEEN + k] = total[k]
 
 
 @kernel

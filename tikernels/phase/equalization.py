@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import checks, runtime
-from tikernels._taichi import F32Array1, F32Array2, I32Array2, f32, i32, ti
+from tikernels._taichi import F32Array1, F32Array2, I32Array2, Static, f32, i32, ti
 from tikernels.arrays import F32, Mask
 from tikernels.errors import ShapeError
 from tikernels.lanes import LANES
@@ -166,6 +166,19 @@ def equalized(phase: f32, table: F32Array1) -> f32:
     low = ti.min(ti.max(ti.cast(place, ti.i32), 0), bins - 1)
     fraction = place - low
     return phase + table[low] + fraction * (table[low + 1] - table[low])
+
+
+@ti.func
+def equalized_lanes(phase: Static, table: F32Array1):
+    """Return lanes of `equalized`."""
+    bins = table.shape[0] - 1
+    place = place_in_cycle(phase, bins)
+    low = ti.min(ti.max(ti.floor(place), 0.0), ti.cast(bins - 1, ti.f32))
+    before, after = 0.0 * phase, 0.0 * phase
+    for k in range(phase.n):
+        number = ti.cast(low[k], ti.i32)
+        before[k], after[k] = table[number], table[number + 1]
+    return phase + before + (place - low) * (after - before)
 
 
 @kernel

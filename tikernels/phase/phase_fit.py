@@ -40,27 +40,22 @@ from tikernels._taichi import (
     U8Array2,
     f32,
     i32,
-    mat3,
     ti,
     vec3,
 )
 from tikernels.arrays import F32, LevelsImage
+from tikernels.lanes import LANES, as_lanes, planes, put_back, whole_rows
 from tikernels.launching import kernel
 from tikernels.phase.channel_model import ChannelModel, is_lit
-from tikernels.phase.channel_template import load_harmonics, sharpened_cycle_and_slope, sharpening_of
-from tikernels.phase.crosstalk import Crosstalk, weighed_vector
-from tikernels.phase.equalization import equalized
+from tikernels.phase.channel_template import cycles_and_slopes, load_harmonics, sharpening_of
+from tikernels.phase.crosstalk import Crosstalk
+from tikernels.phase.equalization import equalized_lanes
 from tikernels.phase.frame_statistics import FrameLevels
-from tikernels.phase.phase_vector import SIGMAS, TINY, arctangent, color_at, matrix_of, modulation_of
-from tikernels.phase.surfaces import (
-    shows_surface,
-    surface_ambient,
-    surface_at,
-    surface_matrix,
-)
+from tikernels.phase.phase_vector import SIGMAS, TINY, arctangent_lanes, color_at, matrix_of
+from tikernels.phase.surfaces import matrix_lanes, shows_surface, surface_at, through
 from tikernels.phase.wrapped_phase import NO_PHASE
 from tikernels.raw.linearization import LEVEL_TYPES
-from tikernels.strips import STRIP, color_of, set_color, strip_at, strip_count
+from tikernels.strips import strip_at, strip_count
 
 # The arctangent is never further off than this; a model that says so is wrong there. rad
 _MAX_STEP = 0.3
@@ -98,61 +93,62 @@ def node_model(nodes: F32Array3, row: f32, j: i32):
 
 
 @ti.func
-def fringe_vector(channels: vec3, color: vec3, ambient: vec3, weights: mat3) -> vec3:
-    """Return b cos(phi), b sin(phi) and a of a pixel's balanced channels, (C - B) / A."""
+def lane_of(channels: Static, k: i32) -> vec3:
+    """Return one lane of a list of three channels."""
+    return vec3(channels[0][k], channels[1][k], channels[2][k])
+
+
+@ti.func
+def dot(a: Static, b: Static):
+    """Return the product of two lists of three channels' lanes."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@ti.func
+def fringe_vector(channels: Static, color: Static, ambient: Static, weights: Static):
+    """Return lanes of b cos(phi), b sin(phi) and a of pixels' balanced channels, (C - B) / A."""
     # One division for three.
-    others = vec3(color.y * color.z, color.x * color.z, color.x * color.y)
-    return weighed_vector(channels - ambient, others, weights) / (color.x * others.x)
+    others = [color[1] * color[2], color[0] * color[2], color[0] * color[1]]
+    light = [(channels[c] - ambient[c]) * others[c] for c in ti.static(range(3))]
+    share = 1.0 / (color[0] * others[0])
+    return [
+        (weights[k, 0] * light[0] + weights[k, 1] * light[1] + weights[k, 2] * light[2]) * share
+        for k in ti.static(range(3))
+    ]
 
 
 @ti.func
-def surface_model(
-    cycle: vec3,
-    slope: vec3,
-    color: vec3,
-    ambient: vec3,
-    surface: i32,
-    mixing: F32Array3,
-    besides: F32Array2,
-    mixed: Static,
-):
-    """Return a pixel's channels M, their change with phase M' and contrast W, all for s = 1, and with ambient B."""
-    model, change, swing, rest = color * cycle, color * slope, color * (cycle - 1.0), ambient
-    if ti.static(mixed):
-        matrix = surface_matrix(mixing, surface)
-        model, change, swing = matrix @ model, matrix @ change, matrix @ swing
-        rest = matrix @ ambient + surface_ambient(besides, surface)
-    return model, change, swing, rest
+def across(light: Static, model: Static, inverse_square: Static):
+    """Return what of the light lies across the model."""
+    share = dot(light, model) * inverse_square
+    return [light[c] - share * model[c] for c in ti.static(range(3))]
 
 
 @ti.func
-def estimator_of(light: vec3, model: vec3, change: vec3, swing: vec3, contrast_doubt: f32):
-    """Return E, D, v and s of the module, of channels in units of their noise."""
-    inverse_square = 1.0 / ti.max(model.dot(model), TINY)
-    brightness = ti.max(light.dot(model) * inverse_square, TINY)
-    of_phase = change - change.dot(model) * inverse_square * model
-    of_contrast = swing - swing.dot(model) * inverse_square * model
-    doubt = contrast_doubt * brightness
-    variance = 1.0 + doubt * doubt * of_contrast.dot(of_contrast)
-    estimator = variance * of_phase - doubt * doubt * of_phase.dot(of_contrast) * of_contrast
-    return estimator, of_phase, variance, brightness
-
-
-@ti.func
-def fitted_step(light: vec3, model: vec3, change: vec3, swing: vec3, contrast_doubt: f32):
+def fitted_step(light: Static, model: Static, change: Static, swing: Static, contrast_doubt: f32):
     """Return the phase's step, rad, one over its variance, the misfit, and s: see the module.
 
-    All channels are in units of their noise. The misfit is the square of what is left, over its variance.
+    Of lanes; all channels are in units of their noise. The misfit is the square of what is left, over its variance.
     """
-    estimator, of_phase, variance, brightness = estimator_of(light, model, change, swing, contrast_doubt)
+    inverse_square = 1.0 / ti.max(dot(model, model), TINY)
+    brightness = ti.max(dot(light, model) * inverse_square, TINY)
+    of_phase, of_contrast = across(change, model, inverse_square), across(swing, model, inverse_square)
+    doubt = contrast_doubt * brightness
+    variance = 1.0 + doubt * doubt * dot(of_contrast, of_contrast)
+    both = doubt * doubt * dot(of_phase, of_contrast)
+    estimator = [variance * of_phase[c] - both * of_contrast[c] for c in ti.static(range(3))]
     # Divisions cost most: reciprocals come from one of their product.
-    curvature, square = ti.max(estimator.dot(of_phase), TINY), ti.max(of_phase.dot(of_phase), TINY)
+    curvature, square = ti.max(dot(estimator, of_phase), TINY), ti.max(dot(of_phase, of_phase), TINY)
     reciprocal = 1.0 / (curvature * variance * brightness * square)
-    step = light.dot(estimator) * variance * square * reciprocal
-    residual = light.dot(model.cross(of_phase))
+    step = dot(light, estimator) * variance * square * reciprocal
+    normal = [
+        model[(c + 1) % 3] * of_phase[(c + 2) % 3] - model[(c + 2) % 3] * of_phase[(c + 1) % 3]
+        for c in ti.static(range(3))
+    ]
+    residual = dot(light, normal)
     # In this order, as the products of what is free of noise are too large for float32.
     share = curvature * reciprocal * brightness
-    misfit = residual * residual / ti.max(model.dot(model), TINY) * share
+    misfit = residual * residual * inverse_square * share
     precision = share * curvature * square * brightness * brightness
     return step, precision, misfit, brightness
 
@@ -167,44 +163,49 @@ def doubted(misfit: f32, doubt: f32, precision: f32) -> f32:
 
 
 @ti.func
-def load_nodes(
-    nodes: F32Array3,
-    sharpness: F32Array2,
-    spacing_px: Static,
-    y: i32,
-    place: i32,
-    colors: Static,
-    ambients: Static,
-    sharper: Static,
-):
-    """Fill a strip with A, B, and the factors of the second to fourth harmonic, gap by gap between nodes.
+def nodes_between(nodes: F32Array3, sharpness: F32Array2, spacing_px: Static, y: i32, x: i32, lanes: Static):
+    """Return lanes of A, B, and the factors of the second to fourth harmonic, from x on.
 
-    Gap j lies between nodes j - 1 and j; the first one begins half of it before the image, where `place` is 0.
+    Gap by gap between nodes: gap j lies between nodes j - 1 and j; the first one begins half of it before the image.
     """
-    in_gap = ti.static(min(spacing_px, STRIP))
     row = ti.min(ti.max((y + 0.5) / spacing_px - 0.5, 0.0), ti.cast(nodes.shape[0] - 1, ti.f32))
-    right_color, right_ambient = node_model(nodes, row, place // spacing_px - 1)
-    for gap in range(STRIP // in_gap):
-        j = (place + gap * in_gap) // spacing_px
+    first = (x + spacing_px // 2) // spacing_px
+    right_color, right_ambient = node_model(nodes, row, first - 1)
+    color, ambient = [lanes(0.0) for _ in ti.static(range(3))], [lanes(0.0) for _ in ti.static(range(3))]
+    factors, ramp = [lanes(0.0) for _ in ti.static(range(3))], lanes(0.0)
+    for k in range(lanes.n):
+        ramp[k] = k
+    for j in range(first, (x + lanes.n - 1 + spacing_px // 2) // spacing_px + 1):
         left_color, left_ambient = right_color, right_ambient
         right_color, right_ambient = node_model(nodes, row, j)
-        color_slope = (right_color - left_color) * ti.static(1.0 / spacing_px)
-        ambient_slope = (right_ambient - left_ambient) * ti.static(1.0 / spacing_px)
-        factors = sharpening_of(sharpness[ti.cast(row, ti.i32), ti.min(j, nodes.shape[1] - 1)])
-        for number in range(in_gap):
-            k = gap * in_gap + number
-            along = ti.cast(place + k - j * spacing_px, ti.f32) + 0.5
-            set_color(colors, k, left_color + color_slope * along)
-            set_color(ambients, k, left_ambient + ambient_slope * along)
-            set_color(sharper, k, factors)
+        sharper = sharpening_of(sharpness[ti.cast(row, ti.i32), ti.min(j, nodes.shape[1] - 1)])
+        along = ramp - ti.cast(j * spacing_px - spacing_px // 2 - x, ti.f32)  # from the gap's first pixel
+        share = (along + 0.5) * ti.static(1.0 / spacing_px)
+        for c in ti.static(range(3)):
+            here = left_color[c] + (right_color[c] - left_color[c]) * share
+            color[c] = ti.select(along < 0.0, color[c], here)
+            here = left_ambient[c] + (right_ambient[c] - left_ambient[c]) * share
+            ambient[c] = ti.select(along < 0.0, ambient[c], here)
+            factors[c] = ti.select(along < 0.0, factors[c], sharper[c])
+    return color, ambient, factors
+
+
+@ti.func
+def put_lanes(out: Static, y: i32, place: i32, values: Static):
+    """Write lanes of a row at a place, counted in as many."""
+    if ti.static(values.n == 1):
+        out[y, place] = values[0]
+    else:
+        out[y, place] = values
 
 
 @cache
-def _fit_phase_kernel(mixed: bool, spacing_px: int) -> Any:
-    """Return the kernel from grey levels to phase, for nodes that are `spacing_px` px apart."""
-    lanes, lanes_of_colors = ti.types.vector(STRIP, ti.f32), ti.types.matrix(3, STRIP, ti.f32)
+def _fit_phase_kernel(mixed: bool, spacing_px: int, wide: bool) -> Any:
+    """Return the kernel from grey levels to phase, for nodes that are `spacing_px` px apart, and rows of vectors."""
+    count = LANES if wide else 1
+    lanes, results = ti.types.vector(count, ti.f32), planes(wide)
 
-    @kernel
+    @kernel(whole_vectors=True)
     def fit_phase_kernel(
         image: AnyArray3,  # (H, W, 3) levels
         labels: U8Array2,  # (H, W) see `Surfaces`
@@ -223,65 +224,66 @@ def _fit_phase_kernel(mixed: bool, spacing_px: int) -> Any:
         read_noise: f32,  # standard deviation of a dark channel, levels
         noise_gain: f32,  # by how much the variance grows with the light, levels
         contrast_doubt: f32,  # standard deviation of the model's contrast, as a fraction
-        out_phase: F32Array2,  # (H, W) rad, a little beyond +-pi; NO_PHASE outside the mask
-        out_modulation: F32Array2,  # (H, W) levels
-        out_precision: F32Array2,  # (H, W) 1 / rad^2: one over the phase's variance
-        out_misfit: F32Array2,  # (H, W) the square of what is left, over its variance
-        out_brightness: F32Array2,  # (H, W) levels: the mean over the cycle, without ambient light
+        out_phase: results,  # (H, W) rad, a little beyond +-pi; NO_PHASE outside the mask
+        out_modulation: results,  # (H, W) levels
+        out_precision: results,  # (H, W) 1 / rad^2: one over the phase's variance
+        out_misfit: results,  # (H, W) the square of what is left, over its variance
+        out_brightness: results,  # (H, W) levels: the mean over the cycle, without ambient light
     ):
-        height, width, before = image.shape[0], image.shape[1], ti.static(spacing_px // 2)
-        for t in range(height * strip_count(width + before, STRIP)):
-            y, place, _ = strip_at(t, width + before, STRIP)
-            start = place - before
+        height, width = image.shape[0], image.shape[1]
+        for t in range(height * strip_count(width, count)):
+            y, start, inside = strip_at(t, width, count)
             weights, harmonics = matrix_of(phase_weights), load_harmonics(template)
-            light, colors, ambients = lanes_of_colors(0.0), lanes_of_colors(1.0), lanes_of_colors(0.0)
-            sharper, bare, start_phase = lanes_of_colors(1.0), lanes(0.0), lanes(0.0)
-            phase, modulation, precision, left, bright = lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0)
-            load_nodes(nodes, sharpness, spacing_px, y, place, colors, ambients, sharper)
-            first, stop = ti.max(-start, 0), ti.min(STRIP, width - start)
-            own, surfaces = lanes(0.0), ti.static(0 if mixed else 1)  # a bit for each that the strip shows
-            for k in range(first, stop):
-                set_color(light, k, color_at(image, y, start + k))
+            color, ambient, sharper = nodes_between(nodes, sharpness, spacing_px, y, start, lanes)
+            light = [lanes(0.0) for _ in ti.static(range(3))]
+            own, surfaces = lanes(0.0), ti.static(0 if mixed else 1)  # a bit for each that the pixels show
+            for k in range(inside):
+                seen = color_at(image, y, start + k)
+                for c in ti.static(range(3)):
+                    light[c][k] = seen[c]
                 if ti.static(mixed):
                     surface = surface_at(labels, y, start + k)
                     own[k], surfaces = surface, surfaces | (1 << surface)
-            # Nearly all strips show one: its matrix is loaded once, and what others do of its pixels is left.
+            noise = [read_noise * read_noise + noise_gain * ti.max(light[c], 0.0) for c in ti.static(range(3))]
+            weight = [1.0 / ti.sqrt(noise[c]) for c in ti.static(range(3))]
+            found = [lanes(0.0) for _ in ti.static(range(5))]
+            # Nearly all show one surface, and what others do of their pixels is left.
             for surface in range(mixing.shape[0]):
                 if (surfaces >> surface) & 1 == 0:
                     continue
-                for k in range(STRIP):
-                    color, channels = color_of(colors, k), color_of(light, k)
-                    if ti.static(mixed):
-                        ambience = surface_ambient(besides, surface)
-                        channels = surface_matrix(unmixing, surface) @ (channels - ambience)
-                    vector = fringe_vector(channels, color, color_of(ambients, k), weights)
-                    modulation[k] = modulation_of(vector) * color.sum() / 3.0  # of channels as they are
-                    bare[k] = arctangent(vector.y, vector.x)
-                for k in range(STRIP):
-                    start_phase[k] = equalized(bare[k], correction)
-                for k in range(STRIP):
-                    seen, color, ambient = color_of(light, k), color_of(colors, k), color_of(ambients, k)
-                    cycle, slope = sharpened_cycle_and_slope(harmonics, start_phase[k], color_of(sharper, k))
-                    model, change, swing, rest = surface_model(
-                        cycle, slope, color, ambient, surface, mixing, besides, mixed
-                    )
-                    weight = 1.0 / ti.sqrt(read_noise * read_noise + noise_gain * ti.max(seen, 0.0))
-                    step, precise, left[k], shown = fitted_step(
-                        weight * (seen - rest), weight * model, weight * change, weight * swing, contrast_doubt
-                    )
-                    precision[k] = precise / ti.max(1.0, left[k] / MAX_MISFIT)
-                    bright[k] = shown * (model - swing).sum() / 3.0
-                    valid = is_lit(seen, min_intensity, clipped) & (modulation[k] > min_modulation)
-                    fitted = start_phase[k] + ti.math.clamp(step, -_MAX_STEP, _MAX_STEP)
-                    phase[k] = ti.select(valid & (precision[k] > min_precision), fitted, NO_PHASE)
-                for k in range(first, stop):
-                    if own[k] == surface:
-                        shows = shows_surface(labels, y, start + k) if ti.static(mixed) else True
-                        out_phase[y, start + k] = ti.select(shows, phase[k], NO_PHASE)
-                        out_modulation[y, start + k] = modulation[k]
-                        out_precision[y, start + k] = precision[k]
-                        out_misfit[y, start + k] = left[k]
-                        out_brightness[y, start + k] = bright[k]
+                bare = [light[c] - besides[surface, c] for c in ti.static(range(3))]
+                mix, unmix = matrix_lanes(mixing, surface, lanes), matrix_lanes(unmixing, surface, lanes)
+                vector = fringe_vector(through(unmix, bare, mixed), color, ambient, weights)
+                modulation = ti.sqrt(vector[0] * vector[0] + vector[1] * vector[1])
+                modulation *= (color[0] + color[1] + color[2]) / 3.0  # of channels as they are
+                begin = equalized_lanes(arctangent_lanes(vector[1], vector[0]), correction)
+                cycle, slope = cycles_and_slopes(harmonics, begin, sharper)
+                mean, rest = through(mix, color, mixed), through(mix, ambient, mixed)
+                model = through(mix, [color[c] * cycle[c] for c in ti.static(range(3))], mixed)
+                change = through(mix, [color[c] * slope[c] for c in ti.static(range(3))], mixed)
+                step, precision, left, brightness = fitted_step(
+                    [weight[c] * (bare[c] - rest[c]) for c in ti.static(range(3))],
+                    [weight[c] * model[c] for c in ti.static(range(3))],
+                    [weight[c] * change[c] for c in ti.static(range(3))],
+                    [weight[c] * (model[c] - mean[c]) for c in ti.static(range(3))],
+                    contrast_doubt,
+                )
+                precise = precision / ti.max(1.0, left / MAX_MISFIT)
+                fitted = begin + ti.math.clamp(step, -_MAX_STEP, _MAX_STEP)
+                fitted = ti.select(modulation > min_modulation, fitted, NO_PHASE)
+                fitted = ti.select(precise > min_precision, fitted, NO_PHASE)
+                result = [fitted, modulation, precise, left, brightness * (mean[0] + mean[1] + mean[2]) / 3.0]
+                for c in ti.static(range(5)):
+                    found[c] = ti.select(own == ti.cast(surface, ti.f32), result[c], found[c])
+            for k in range(inside):
+                lit = is_lit(lane_of(light, k), min_intensity, clipped)
+                shows = lit & shows_surface(labels, y, start + k) if ti.static(mixed) else lit
+                found[0][k] = ti.select(shows, found[0][k], NO_PHASE)
+            put_lanes(out_phase, y, start // count, found[0])
+            put_lanes(out_modulation, y, start // count, found[1])
+            put_lanes(out_precision, y, start // count, found[2])
+            put_lanes(out_misfit, y, start // count, found[3])
+            put_lanes(out_brightness, y, start // count, found[4])
 
     return fit_phase_kernel
 
@@ -326,7 +328,8 @@ def fit_phase(
     named = zip(FittedPhase._fields, outs, strict=True)
     results = FittedPhase(*(checks.out_buffer(name, buffer, shape, np.float32) for name, buffer in named))
     surfaces = crosstalk.surfaces
-    _fit_phase_kernel(surfaces.mixed, model.gains.spacing_px)(
+    rows, wide = whole_rows(*results)
+    _fit_phase_kernel(surfaces.mixed, model.gains.spacing_px, wide)(
         image,
         surfaces.labels,
         surfaces.mixing,
@@ -344,6 +347,8 @@ def fit_phase(
         levels.read_noise,
         levels.noise_gain,
         contrast_doubt,
-        *results,
+        *(as_lanes(row, wide) for row in rows),
     )
+    for row, result in zip(rows, results, strict=True):
+        put_back(row, result)
     return results

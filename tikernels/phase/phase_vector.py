@@ -13,7 +13,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from tikernels._taichi import AnyArray3, F32Array2, f32, i32, mat3, ti, vec3
+from tikernels._taichi import AnyArray3, F32Array2, Static, f32, i32, mat3, ti, vec3
 
 PI = math.pi
 #: Divisors that may be zero are held above this, in levels, rad or their squares: what a frame shows is more.
@@ -61,11 +61,37 @@ def arctangent(y: f32, x: f32) -> f32:
 
 
 @ti.func
-def cosine_and_sine(angle: f32):
-    """Return both, for angles within a tenth beyond [-pi, pi]; error 2e-6."""
+def absolute_lanes(values: Static):
+    """Return lanes of absolute values: whole vectors have no bits of their signs."""
+    return ti.max(values, 0.0 - values)
+
+
+@ti.func
+def wrap_lanes(angle: Static):
+    """Return lanes of `wrap`."""
+    return ti.select(angle > PI, angle - 2.0 * PI, ti.select(angle < -PI, angle + 2.0 * PI, angle))
+
+
+@ti.func
+def arctangent_lanes(y: Static, x: Static):
+    """Return lanes of `arctangent`."""
+    height = absolute_lanes(y)
+    ratio = (x - ti.select(x < 0.0, 0.0 - height, height)) / ti.max(absolute_lanes(x) + height, 1e-30)
+    square = ratio * ratio
+    angle = 0.0 * square
+    for n in ti.static(range(len(_ATAN))):
+        angle = angle * square + ti.static(_ATAN[-1 - n])
+    angle *= ratio
+    upper = ti.max(ti.select(x < 0.0, 0.75 * PI - angle, 0.25 * PI - angle), 0.0)
+    return ti.select(y < 0.0, 0.0 - upper, upper)
+
+
+@ti.func
+def cosine_and_sine(angle):
+    """Return both, for angles within a tenth beyond [-pi, pi], a number or lanes; error 2e-6."""
     half = 0.5 * angle
     square = half * half
-    sine, cosine = 0.0, 0.0
+    sine, cosine = 0.0 * square, 0.0 * square
     for n in ti.static(range(len(_SINE))):
         sine = sine * square + ti.static(_SINE[-1 - n])
         cosine = cosine * square + ti.static(_COSINE[-1 - n])

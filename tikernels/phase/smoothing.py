@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import checks, runtime
-from tikernels._taichi import F32Array2, Static, U8Array2, f32, ti, u1
+from tikernels._taichi import F32Array2, Static, U8Array2, f32, ti
 from tikernels.arrays import F32, U8, Mask
 from tikernels.errors import ShapeError
 from tikernels.lanes import (
@@ -42,8 +42,8 @@ from tikernels.lanes import (
 )
 from tikernels.launching import kernel
 from tikernels.phase.phase_change import RATE_ACROSS, RATE_ALONG, measure_rates, rates_shape
-from tikernels.phase.phase_vector import PI, TINY, wrap
-from tikernels.phase.wrapped_phase import LEAST_NO_PHASE, NO_PHASE, STEP_PHASE, has_phase, mark_no_phase_kernel
+from tikernels.phase.phase_vector import PI, TINY, absolute_lanes, wrap, wrap_lanes
+from tikernels.phase.wrapped_phase import LEAST_NO_PHASE, NO_PHASE, STEP_PHASE, mark_no_phase_kernel
 
 # A pair of neighbours counts while each is within a radian of what the usual change leads to, and the surface bends
 # less between them than noise makes it, four standard deviations; or than the least, which round surfaces do within a
@@ -76,35 +76,31 @@ class _Row(IntEnum):
 
 
 @ti.func
-def between_surfaces(one: f32, other: f32) -> u1:
-    """Whether a pixel that is this far from its neighbours on either side belongs to neither's surface."""
+def between_surfaces(one: Static, other: Static):
+    """Return lanes that are above zero where a pixel this far from its neighbours belongs to neither's surface."""
     low, high = ti.min(one, other), ti.max(one, other)
     farthest = ti.select(high < NO_NEIGHBOUR, high, low)
-    return (farthest > MAX_DEPARTURE) & (farthest < NO_NEIGHBOUR) & (low > _SAME_SURFACE)
+    step = ti.select(farthest < NO_NEIGHBOUR, farthest - MAX_DEPARTURE, -1.0)
+    return ti.select(low > _SAME_SURFACE, step, -1.0)
 
 
 @ti.func
-def departure(difference: f32, rate: f32) -> f32:
-    """How far a difference of two phases is from the usual change, modulo a cycle, rad."""
-    size = ti.abs(difference - rate)
-    return ti.min(size, ti.abs(size - 2.0 * PI))
+def departure(difference: Static, rate: f32):
+    """Return lanes of how far differences of two phases are from the usual change, modulo a cycle, rad."""
+    size = absolute_lanes(difference - rate)
+    return ti.min(size, absolute_lanes(size - 2.0 * PI))
 
 
 @ti.func
-def inverse_bend(variance: f32) -> f32:
-    """Return one over how much the phase may bend between two neighbours of a pixel, 1 / rad.
+def pair_counts(one: Static, other: Static, variance: Static):
+    """Return lanes of how much a pair of neighbours counts, 0 to 1, that differ by this from a pixel; rad.
 
-    The variance is that of the sum of their differences to it, rad^2.
+    The phase may bend between the two by as much as noise does, given the variance of the sum of their differences.
     """
-    return 1.0 / ti.min(ti.max(_BEND_SIGMAS * ti.sqrt(variance), _LEAST_BEND), _MAX_BEND)
-
-
-@ti.func
-def pair_counts(one: f32, other: f32, per_bend: f32) -> f32:
-    """Return how much a pair of neighbours counts, 0 to 1, that differ by this from a pixel; rad."""
-    near = ti.max(ti.abs(one), ti.abs(other)) < _MAX_CHANGE
+    per_bend = 1.0 / ti.min(ti.max(_BEND_SIGMAS * ti.sqrt(variance), _LEAST_BEND), _MAX_BEND)
     # Fading, so that rounding decides nothing.
-    return ti.select(near, ti.min(ti.max(2.5 - 2.0 * ti.abs(one + other) * per_bend, 0.0), 1.0), 0.0)
+    counts = ti.min(ti.max(2.5 - 2.0 * absolute_lanes(one + other) * per_bend, 0.0), 1.0)
+    return ti.select(ti.max(absolute_lanes(one), absolute_lanes(other)) < _MAX_CHANGE, counts, 0.0)
 
 
 @ti.func
@@ -156,37 +152,37 @@ def _smooth_rows_kernel(pairs: int, wide: bool) -> Any:
             upper = load_lanes(phase, lanes.floats, above, place, width, wide)
             lower = load_lanes(phase, lanes.floats, below, place, width, wide)
             certainty = load_lanes(precision, lanes.floats, y, place, width, wide)
-            mean, bend = lanes.floats(0.0), lanes.floats(0.0)
-            mean_variance, fit_variance = lanes.floats(0.0), lanes.floats(0.0)
+            centre, left, right = lanes.floats(0.0), lanes.floats(0.0), lanes.floats(0.0)
             for k in range(lanes.count):
-                centre = values[lanes.count + k]
-                # Without a neighbour the differences stay far beyond any phase.
-                to_left = ti.abs(wrap(values[lanes.count + k - 1] - centre) + rate_along)
-                to_right = ti.abs(wrap(values[lanes.count + k + 1] - centre) - rate_along)
-                to_upper = departure(centre - upper[k], rate_across)
-                to_lower = departure(lower[k] - centre, rate_across)
-                to_upper = ti.select(above == y, 2.0 * NO_NEIGHBOUR, to_upper)
-                to_lower = ti.select(below == y, 2.0 * NO_NEIGHBOUR, to_lower)
-                step = between_surfaces(to_left, to_right) | between_surfaces(to_upper, to_lower)
-                variance = 1.0 / (certainty[k] + TINY)
-                per_bend = inverse_bend(6.0 * variance)
-                total, total_2, count, squares, fourths = 0.0, 0.0, 1.0, 0.0, 0.0
-                for tap in ti.static(range(1, pairs + 1)):
-                    change = change_over(rate_along, tap)
-                    one = wrap(values[lanes.count + k - tap] - centre + change)
-                    other = wrap(values[lanes.count + k + tap] - centre - change)
-                    counts = pair_counts(one, other, per_bend)
-                    both = ti.select(counts > 0.0, counts * (one + other), 0.0)
-                    total, total_2 = total + both, total_2 + tap * tap * both
-                    count, squares = count + 2.0 * counts, squares + 2.0 * tap * tap * counts
-                    fourths += 2.0 * tap**4 * counts
-                a, b = quadric_weights(count, squares, fourths)
-                # A pixel between two surfaces has nothing but itself, should one of them claim it.
-                alone = ti.select(step, STEP_PHASE, centre + total / count)
-                mean[k] = ti.select(has_phase(centre), alone, NO_PHASE)
-                bend[k] = ti.select(step, 0.0, a * total - b * total_2 - total / count)
-                mean_variance[k] = variance * ti.select(step, 1.0, 1.0 / count)
-                fit_variance[k] = variance * ti.select(step, 1.0, quadric_share(a, b, count, squares, fourths))
+                centre[k] = values[lanes.count + k]
+                left[k], right[k] = values[lanes.count + k - 1], values[lanes.count + k + 1]
+            # Without a neighbour the differences stay far beyond any phase.
+            to_left = absolute_lanes(wrap_lanes(left - centre) + rate_along)
+            to_right = absolute_lanes(wrap_lanes(right - centre) - rate_along)
+            to_upper, to_lower = departure(centre - upper, rate_across), departure(lower - centre, rate_across)
+            to_upper = ti.max(to_upper, ti.select(above == y, 2.0 * NO_NEIGHBOUR, 0.0))
+            to_lower = ti.max(to_lower, ti.select(below == y, 2.0 * NO_NEIGHBOUR, 0.0))
+            step = ti.max(between_surfaces(to_left, to_right), between_surfaces(to_upper, to_lower))
+            variance = 1.0 / (certainty + TINY)
+            total, total_2, fourths = lanes.floats(0.0), lanes.floats(0.0), lanes.floats(0.0)
+            count, squares = lanes.floats(1.0), lanes.floats(0.0)
+            for tap in ti.static(range(1, pairs + 1)):
+                change = change_over(rate_along, tap)
+                for k in range(lanes.count):
+                    left[k], right[k] = values[lanes.count + k - tap], values[lanes.count + k + tap]
+                one, other = wrap_lanes(left - centre + change), wrap_lanes(right - centre - change)
+                counts = pair_counts(one, other, 6.0 * variance)
+                both = ti.select(counts > 0.0, counts * (one + other), 0.0)
+                total, total_2 = total + both, total_2 + tap * tap * both
+                count, squares = count + 2.0 * counts, squares + 2.0 * tap * tap * counts
+                fourths += 2.0 * tap**4 * counts
+            a, b = quadric_weights(count, squares, fourths)
+            # A pixel between two surfaces has nothing but itself, should one of them claim it.
+            mean = ti.select(step > 0.0, STEP_PHASE, centre + total / count)
+            mean = ti.select(centre < LEAST_NO_PHASE, mean, NO_PHASE)
+            bend = ti.select(step > 0.0, 0.0, a * total - b * total_2 - total / count)
+            mean_variance = variance * ti.select(step > 0.0, 1.0, 1.0 / count)
+            fit_variance = variance * ti.select(step > 0.0, 1.0, quadric_share(a, b, count, squares, fourths))
             store_lanes(out, y, place, width, mean, wide)
             store_lanes_of(out_rows, _Row.BEND, y, place, width, bend, wide)
             store_lanes_of(out_rows, _Row.MEAN_VARIANCE, y, place, width, mean_variance, wide)
@@ -199,7 +195,7 @@ def _smooth_rows_kernel(pairs: int, wide: bool) -> Any:
 def change_across(near: f32, far: f32, change: f32, wraps: Static) -> f32:
     """Return how far a pixel in another row departs from the usual change, rad."""
     departs = far - near - change
-    return wrap(departs) if ti.static(wraps) else departs
+    return wrap_lanes(departs) if ti.static(wraps) else departs
 
 
 @cache
@@ -239,27 +235,27 @@ def _smooth_columns_kernel(pairs: int, wraps: bool, wide: bool) -> Any:
                     bends += load_lanes_of(rows, lanes.floats, _Row.BEND, below, place, width, wide)
                     others = load_lanes_of(rows, lanes.floats, _Row.MEAN_VARIANCE, above, place, width, wide)
                     others += load_lanes_of(rows, lanes.floats, _Row.MEAN_VARIANCE, below, place, width, wide)
+                    one = change_across(centre, upper, -change, wraps)
+                    other = change_across(centre, lower, change, wraps)
+                    counts = pair_counts(one, other, others + 4.0 * variance)
                     for k in range(lanes.count):
-                        one = change_across(centre[k], upper[k], -change, wraps)
-                        other = change_across(centre[k], lower[k], change, wraps)
                         hold = (holds[k] != 0) & (holds_above[k] != 0) & (holds_below[k] != 0)
-                        counts = pair_counts(one, other, inverse_bend(others[k] + 4.0 * variance[k]))
-                        counts = ti.select(hold, counts, 0.0)
-                        weight = counts * 2.0 * variance[k] / others[k]
-                        both = ti.select(counts > 0.0, weight * (one + other), 0.0)
-                        total[k], total_2[k] = total[k] + both, total_2[k] + tap * tap * both
-                        total_bend[k] += weight * bends[k]
-                        count[k], squares[k] = count[k] + 2.0 * weight, squares[k] + 2.0 * tap * tap * weight
-                        fourths[k] += 2.0 * tap**4 * weight
+                        counts[k] = ti.select(hold, counts[k], 0.0)
+                    weight = counts * 2.0 * variance / others
+                    both = ti.select(counts > 0.0, weight * (one + other), 0.0)
+                    total, total_2 = total + both, total_2 + tap * tap * both
+                    total_bend += weight * bends
+                    count, squares = count + 2.0 * weight, squares + 2.0 * tap * tap * weight
+                    fourths += 2.0 * tap**4 * weight
             fit_variance = load_lanes_of(rows, lanes.floats, _Row.FIT_VARIANCE, y, place, width, wide)
+            a, b = quadric_weights(count, squares, fourths)
+            fitted = centre + a * total - b * total_2 + (bend + total_bend) / count
+            # A row's mean and what its quadric adds to it are uncorrelated.
+            of_bend = (fit_variance - variance) / count
+            left = variance * quadric_share(a, b, count, squares, fourths) + of_bend
             for k in range(lanes.count):
-                a, b = quadric_weights(count[k], squares[k], fourths[k])
-                fitted = centre[k] + a * total[k] - b * total_2[k] + (bend[k] + total_bend[k]) / count[k]
-                # A row's mean and what its quadric adds to it are uncorrelated.
-                of_bend = (fit_variance[k] - variance[k]) / count[k]
-                left = variance[k] * quadric_share(a, b, count[k], squares[k], fourths[k]) + of_bend
-                centre[k] = ti.select(holds[k] != 0, fitted, ti.math.nan)
-                variance[k] = ti.select(holds[k] != 0, left, variance[k])
+                centre[k] = ti.select(holds[k] != 0, fitted[k], ti.math.nan)
+                variance[k] = ti.select(holds[k] != 0, left[k], variance[k])
             store_lanes(out, y, place, width, centre, wide)
             store_lanes(out_variance, y, place, width, variance, wide)
 

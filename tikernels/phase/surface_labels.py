@@ -29,7 +29,6 @@ from tikernels.phase.surface_misfits import (
     place_lanes,
 )
 from tikernels.phase.surfaces import NO_SURFACE
-from tikernels.strips import strip_count
 
 _Misfits = npt.NDArray[np.float32]
 _Labels = npt.NDArray[np.uint8]
@@ -38,6 +37,7 @@ _Mask = npt.NDArray[np.bool_]
 # So many pixels beside sixteen count for them.
 _BESIDE = 4
 _wide_lanes = ti.types.vector(AT_ONCE + 2 * _BESIDE, ti.f32)
+cell_lanes = ti.types.matrix(CELL_ROWS, AT_ONCE, ti.f32)
 # Gaussians that misfits are averaged over: px across the stripes, and along them where pixels are asked; cycles, and
 # how much that one counts.
 _NEAR_PX, _ALONG_PX = 1.6, 2.0
@@ -190,15 +190,28 @@ def cells_of_pixels(lattice: Lattice, labels: _Labels, size: tuple[int, int]) ->
 
 
 @ti.func
-def place_at(values: F32Array3, surface: i32, v: f32, u: f32) -> f32:
-    """Interpolate a surface's values between places, bilinearly."""
-    v = ti.min(ti.max(v, 0.0), ti.cast(values.shape[1] - 1, ti.f32))
-    u = ti.min(ti.max(u, 0.0), ti.cast(values.shape[2] - 1, ti.f32))
-    i, j = ti.cast(v, ti.i32), ti.cast(u, ti.i32)
-    i1, j1 = ti.min(i + 1, values.shape[1] - 1), ti.min(j + 1, values.shape[2] - 1)
-    upper = values[surface, i, j] + (u - j) * (values[surface, i, j1] - values[surface, i, j])
-    lower = values[surface, i1, j] + (u - j) * (values[surface, i1, j1] - values[surface, i1, j])
-    return upper + (v - i) * (lower - upper)
+def place_at(values: F32Array3, surface: i32, v: f32, j: i32) -> f32:
+    """Interpolate a surface's values between two rows of places, in a column."""
+    row, column = ti.min(v, values.shape[1] - 1.0), ti.min(ti.max(j, 0), values.shape[2] - 1)
+    i = ti.cast(row, ti.i32)
+    upper = values[surface, i, column]
+    return upper + (row - i) * (values[surface, ti.min(i + 1, values.shape[1] - 1), column] - upper)
+
+
+@ti.func
+def values_between(values: F32Array3, surface: i32, v: f32, x: i32, columns: i32):
+    """Interpolate a surface's values between places, bilinearly, at sixteen pixels."""
+    result, ramp = place_lanes(0.0), place_lanes(0.0)
+    for k in range(AT_ONCE):
+        ramp[k] = k
+    first = (x + columns // 2) // columns
+    right = place_at(values, surface, v, first - 1)
+    for j in range(first, (x + AT_ONCE - 1 + columns // 2) // columns + 1):
+        left = right
+        right = place_at(values, surface, v, j)
+        along = ramp - ti.cast(j * columns - columns // 2 - x, ti.f32)  # from the last place on
+        result = ti.select(along < 0.0, result, left + (right - left) / columns * (along + 0.5))
+    return result
 
 
 @ti.func
@@ -227,24 +240,32 @@ def row_misfits(misfits: F32Array3, cells: I32Array2, surface: i32, y: i32, stri
 
 @ti.func
 def near_misfits(
-    misfits: F32Array3, cells: I32Array2, near: F32Array1, along: F32Array1, surface: i32, y: i32, strip: i32
+    misfits: F32Array3, cells: I32Array2, near: F32Array1, along: F32Array1, surface: i32, i: i32, strip: i32
 ):
-    """Return the squares of a surface's misfits around sixteen pixels, averaged across the stripes, then along them."""
-    sums, counts, total, weight = _wide_lanes(0.0), _wide_lanes(0.0), place_lanes(0.0), place_lanes(1e-6)
-    for v in range(ti.max(y - near.shape[0] + 1, 0), ti.min(y + near.shape[0], misfits.shape[1])):
-        left = row_misfits(misfits, cells, surface, v, strip)
-        for k in range(AT_ONCE + 2 * _BESIDE):
-            share = ti.select(left[k] > SAYS_NOTHING, near[ti.abs(v - y)], 0.0)
-            sums[k] += share * ti.min(left[k] * left[k], MOST_MISFIT)
-            counts[k] += share
-    for u in ti.static(range(2 * _BESIDE + 1)):
-        for k in range(AT_ONCE):
-            total[k] += along[ti.abs(u - _BESIDE)] * sums[k + u]
-            weight[k] += along[ti.abs(u - _BESIDE)] * counts[k + u]
-    return total / weight
+    """Return the squares of a surface's misfits around a cell's rows, averaged along the stripes, then across."""
+    first, reach = i * CELL_ROWS, near.shape[0] - 1
+    total, weight = (
+        [place_lanes(0.0) for _ in ti.static(range(CELL_ROWS))],
+        [place_lanes(1e-6) for _ in ti.static(range(CELL_ROWS))],
+    )
+    for v in range(ti.max(first - reach, 0), ti.min(first + CELL_ROWS + reach, misfits.shape[1])):
+        left, part = row_misfits(misfits, cells, surface, v, strip), place_lanes(0.0)
+        sums, counts = place_lanes(0.0), place_lanes(0.0)
+        for u in ti.static(range(2 * _BESIDE + 1)):
+            for k in range(AT_ONCE):
+                part[k] = left[k + u]
+            share = ti.select(part > SAYS_NOTHING, along[ti.abs(u - _BESIDE)], 0.0)
+            sums += share * ti.min(part * part, MOST_MISFIT)
+            counts += share
+        for row in ti.static(range(CELL_ROWS)):
+            distance = ti.abs(v - first - row)
+            if distance <= reach:
+                total[row] += near[distance] * sums
+                weight[row] += near[distance] * counts
+    return [total[row] / weight[row] for row in ti.static(range(CELL_ROWS))]
 
 
-@kernel
+@kernel(whole_vectors=True)
 def choose_surfaces_kernel(
     misfits: F32Array3,  # (N, H, W) standard deviations of pixels; see `surface_misfits_kernel`
     around: F32Array3,  # (N, h, w) their squares' averages around places of the lattice
@@ -255,22 +276,31 @@ def choose_surfaces_kernel(
     columns: i32,
     labels: U8Array2,  # (H, W) changed where surfaces are asked, unless NO_SURFACE
 ):
-    height, width = labels.shape[0], labels.shape[1]
-    strips = strip_count(width, AT_ONCE)
-    for t in range(height * strips):
-        y, strip, first = t // strips, t % strips, t % strips * AT_ONCE
-        if cells[y // CELL_ROWS, strip] != 0:
-            best, which = place_lanes(1e9), place_lanes(0.0)
+    height, width, strips = labels.shape[0], labels.shape[1], cells.shape[1]
+    for t in range(cells.shape[0] * strips):
+        i, strip, first = t // strips, t % strips, t % strips * AT_ONCE
+        if cells[i, strip] != 0:
+            best = [place_lanes(1e9) for _ in ti.static(range(CELL_ROWS))]
+            which = [place_lanes(0.0) for _ in ti.static(range(CELL_ROWS))]
             for surface in range(misfits.shape[0]):
-                if asks(cells, y, strip, surface):
-                    value = near_misfits(misfits, cells, near, along, surface, y, strip)
-                    for k in range(AT_ONCE):
-                        value[k] += _AROUND * place_at(around, surface, y / rows, (first + k + 0.5) / columns - 0.5)
-                        which[k] = ti.select(value[k] < best[k], ti.cast(surface, ti.f32), which[k])
-                        best[k] = ti.min(value[k], best[k])
-            for k in range(ti.min(AT_ONCE, width - first)):
-                if ti.cast(labels[y, first + k], ti.i32) != NO_SURFACE:
-                    labels[y, first + k] = ti.cast(which[k], ti.u8)
+                if (cells[i, strip] >> surface) & 1 == 1:
+                    value = near_misfits(misfits, cells, near, along, surface, i, strip)
+                    beyond = cell_lanes(0.0)
+                    for row in range(CELL_ROWS):
+                        between = values_between(around, surface, (i * CELL_ROWS + row) / rows, first, columns)
+                        for k in range(AT_ONCE):
+                            beyond[row, k] = between[k]
+                    for row in ti.static(range(CELL_ROWS)):
+                        misfit = value[row]
+                        for k in range(AT_ONCE):
+                            misfit[k] += _AROUND * beyond[row, k]
+                        which[row] = ti.select(misfit < best[row], ti.cast(surface, ti.f32), which[row])
+                        best[row] = ti.min(misfit, best[row])
+            for row in ti.static(range(CELL_ROWS)):
+                y = i * CELL_ROWS + row
+                for k in range(ti.select(y < height, ti.min(AT_ONCE, width - first), 0)):
+                    if ti.cast(labels[y, first + k], ti.i32) != NO_SURFACE:
+                        labels[y, first + k] = ti.cast(which[row][k], ti.u8)
 
 
 def choose_surfaces(

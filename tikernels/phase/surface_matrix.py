@@ -148,7 +148,7 @@ class FittedMatrices:
     """(n,) by how much the channels' fundamentals differ from those predicted, as a fraction; what all three have in
     common is left out."""
     cost: float
-    """What spoke against all of it before the last step, in squares of standard deviations."""
+    """What spoke against all of it before the step, in squares of standard deviations."""
     frames: _Array
     """(n,) how many frames of a video have told it."""
 
@@ -210,9 +210,8 @@ def fit_matrices(
     before: FittedMatrices | None = None,
     *,
     fit_light: bool,
-    steps: int = 1,
 ) -> FittedMatrices:
-    """Fit the matrix of every surface, its ambient light, and the light that all have in common.
+    """Fit the matrix of every surface, its ambient light, and the light that all have in common: one Newton step.
 
     Parameters
     ----------
@@ -230,8 +229,6 @@ def fit_matrices(
         Of the first of these surfaces, where the fit begins; None: with the prediction.
     fit_light : bool
         Whether the surfaces tell the light, too; else it stays as it was before.
-    steps : int
-        Of Newton.
     """
     count, harmonics, predicted = len(samples.light), light.shape[1], prediction.matrices
     expected, prior = _prior_of_surfaces(samples, prediction, expected_ambient, ambient, doubt.leak)
@@ -244,23 +241,21 @@ def fit_matrices(
     if not fit_light:
         usual = shared
     prior_shared = _prior_of_light(light, doubt) if fit_light else 1e12 * np.eye(harmonics)
-    phase = samples.phase
 
     def unpacked() -> tuple[_Array, _Array, _Complexes]:
         """Return the matrices, the ambient light and the projector's, given what is fitted of them."""
         entries = own[:, :9].reshape(predicted.shape)
         return predicted * (1 + entries), expected_ambient + own[:, 9:], light * (1 + shared)
 
-    for _ in range(steps):
-        found = _equations(samples, *unpacked(), predicted, light, phase)
-        phase, off, off_shared = found.phase, expected - own, usual - shared
-        arrow = _Arrow.of(found.gram, prior, prior_shared)
-        pull, pull_shared = (prior @ off[..., None])[..., 0], prior_shared @ off_shared
-        right, right_shared = found.right[:, :_COLUMNS] + pull, found.right[:, _COLUMNS:].sum(axis=0) + pull_shared
-        change, change_shared = arrow.solve(right, right_shared)
-        cost = found.cost + float((off * pull).sum() + off_shared @ pull_shared)
-        own, shared = own + change, shared + change_shared
-        own[:, :9] = np.clip(own[:, :9], _LEAST, _MOST)
+    found = _equations(samples, *unpacked(), predicted, light)
+    off, off_shared = expected - own, usual - shared
+    arrow = _Arrow.of(found.gram, prior, prior_shared)
+    pull, pull_shared = (prior @ off[..., None])[..., 0], prior_shared @ off_shared
+    right, right_shared = found.right[:, :_COLUMNS] + pull, found.right[:, _COLUMNS:].sum(axis=0) + pull_shared
+    change, change_shared = arrow.solve(right, right_shared)
+    cost = found.cost + float((off * pull).sum() + off_shared @ pull_shared)
+    own, shared = own + change, shared + change_shared
+    own[:, :9] = np.clip(own[:, :9], _LEAST, _MOST)
     matrices, besides, fitted_light = unpacked()
     constant = np.full(count, np.nan)
     if not fit_light:
@@ -383,7 +378,6 @@ def _prior_of_light(light: _Complexes, doubt: LightDoubt) -> _Array:
 class _Equations(NamedTuple):
     """How z and the brightness change with all that is fitted: normal equations of every surface."""
 
-    phase: _Floats  # (n, S) rad
     gram: _Array  # (n, 12 + harmonics, 12 + harmonics)
     right: _Array  # (n, 12 + harmonics)
     misfit: _Array  # (n,) see `FittedMatrices`
@@ -397,9 +391,8 @@ def _equations(
     light: _Complexes,
     predicted: _Array,
     known_light: _Complexes,
-    phase: _Floats,
 ) -> _Equations:
-    found = compare_samples(samples, matrices, ambient, light, phase)
+    found = compare_samples(samples, matrices, ambient, light)
     z, brightness, variance = found.residual, found.brightness, found.variance
     level = np.sqrt(found.square.mean(axis=2))
     of_z, of_brightness = (
@@ -424,7 +417,7 @@ def _equations(
     scale = np.ones(right.shape)
     scale[:, :9] = predicted.reshape(-1, 9)
     gram *= scale[:, :, None] * scale[:, None]
-    return _Equations(found.phase, gram, scale * right, np.sqrt(np.maximum(left, 0))[:, 0] / level[:, 0], cost)
+    return _Equations(gram, scale * right, np.sqrt(np.maximum(left, 0))[:, 0] / level[:, 0], cost)
 
 
 def _waves_of_brightness(

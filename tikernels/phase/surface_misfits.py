@@ -17,17 +17,17 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import checks, runtime
-from tikernels._taichi import AnyArray3, F32Array2, F32Array3, I32Array2, U8Array2, f32, i32, ti, vec3
+from tikernels._taichi import AnyArray3, F32Array2, F32Array3, I32Array2, Static, U8Array2, f32, i32, ti, vec3
 from tikernels.arrays import F32, I32, LevelsImage
 from tikernels.launching import kernel
-from tikernels.phase.color_balance import Gains, channels_at, gain_at
+from tikernels.phase.color_balance import Gains, gain_at
 from tikernels.phase.crosstalk import Crosstalk, weighed_vector
 from tikernels.phase.frame_statistics import FrameLevels
-from tikernels.phase.phase_vector import color_at, matrix_of, modulation_of, phase_weights, with_sign_of
+from tikernels.phase.phase_vector import absolute_lanes, color_at, matrix_of, phase_weights
 from tikernels.phase.surface_matrix import waves
-from tikernels.phase.surfaces import surface_ambient, surface_matrix
+from tikernels.phase.surfaces import matrix_lanes, through
 from tikernels.raw.linearization import LEVEL_TYPES
-from tikernels.strips import color_of, lanes_of_colors, set_color, strip_count
+from tikernels.strips import strip_count
 
 _Misfits = npt.NDArray[np.float32]
 _Array = npt.NDArray[np.float64]
@@ -160,18 +160,21 @@ def average_light_kernel(
             weights, y = matrix_of(phase_weights), i * rows
             for j in range(first, ti.min(first + AT_ONCE, width)):
                 middle = ti.min(j * columns + columns // 2, image.shape[1] - 1)
-                gain = gain_at(gains, spacing_px, y, middle)
-                total, last, most, cosine, sine = vec3(0.0), vec3(0.0), 0.0, 0.0, 0.0
-                for k in range(-reach, reach + 1):
-                    x = ti.min(ti.max(middle + k, 0), image.shape[1] - 1)
-                    seen = color_at(image, y, x)
-                    vector = weighed_vector(seen, gain, weights)
-                    cosine += vector.x * last.x + vector.y * last.y
-                    sine += vector.y * last.x - vector.x * last.y
-                    total, last, most = total + seen, vector, ti.max(most, seen.max())
-                # A phase that is linear over n pixels has the variance slope^2 (n^2 - 1) / 12.
-                slope = ti.select(cosine > 0.0, sine / ti.max(cosine, 1e-9), 1.0)
-                lost = 1.0 + reach * (reach + 1) / 6.0 * ti.min(slope * slope, 1.0)
+                total = color_at(image, y, middle)
+                most, lost = total.max(), 1.0
+                if reach > 0:
+                    gain = gain_at(gains, spacing_px, y, middle)
+                    total, last, cosine, sine = vec3(0.0), vec3(0.0), 0.0, 0.0
+                    for k in range(-reach, reach + 1):
+                        x = ti.min(ti.max(middle + k, 0), image.shape[1] - 1)
+                        seen = color_at(image, y, x)
+                        vector = weighed_vector(seen, gain, weights)
+                        cosine += vector.x * last.x + vector.y * last.y
+                        sine += vector.y * last.x - vector.x * last.y
+                        total, last, most = total + seen, vector, ti.max(most, seen.max())
+                    # A phase that is linear over n pixels has the variance slope^2 (n^2 - 1) / 12.
+                    slope = ti.select(cosine > 0.0, sine / ti.max(cosine, 1e-9), 1.0)
+                    lost += reach * (reach + 1) / 6.0 * ti.min(slope * slope, 1.0)
                 a, b = ti.min(y // spacing_px, blur.shape[0] - 1), ti.min(middle // spacing_px, blur.shape[1] - 1)
                 out_contrast[i, j] = blur[a, b] / lost
                 says = (most < clipped) & (ti.cast(unlit[ti.min(y, image.shape[0] - 1), middle], i32) == 0)
@@ -231,13 +234,13 @@ def cells_of(size: tuple[int, int]) -> tuple[int, int]:
 
 
 @ti.func
-def place_around(x: f32, y: f32) -> f32:
-    """Return a point's place in `NeutralLight.contrast`, from 0 to 1024, by its angle."""
-    along = x / ti.max(ti.abs(x) + ti.abs(y), 1e-30)
-    return (2.0 + with_sign_of(1.0 - along, y)) * ti.static(_PLACES / 4)
+def place_around(x: Static, y: Static):
+    """Return lanes of points' places in `NeutralLight.contrast`, from 0 to 1024, by their angles."""
+    turn = 1.0 - x / ti.max(absolute_lanes(x) + absolute_lanes(y), 1e-30)
+    return (2.0 + ti.select(y < 0.0, 0.0 - turn, turn)) * ti.static(_PLACES / 4)
 
 
-@kernel
+@kernel(whole_vectors=True)
 def surface_misfits_kernel(
     light: F32Array3,  # (h, w, 3) levels; see `average_light_kernel`
     contrast: F32Array2,  # (h, w) of the fringe, beside the light's
@@ -260,34 +263,38 @@ def surface_misfits_kernel(
             count = ti.min(AT_ONCE, width - first)
             numbers = by_contrast.shape[0] * by_contrast.shape[1] * by_contrast.shape[2]
             asked = ti.select(numbers == out.shape[0] * height * width, count, 0)
-            channels, vectors, sharp = lanes_of_colors(0.0), lanes_of_colors(0.0), place_lanes(1.0)
-            place, ring, turn = place_lanes(0.0), place_lanes(0.0), place_lanes(0.0)
-            result, changes = place_lanes(0.0), place_lanes(0.0)
+            seen, sharp = [place_lanes(0.0) for _ in ti.static(range(3))], place_lanes(1.0)
+            ring, turn = place_lanes(0.0), place_lanes(0.0)
             for k in range(count):
-                set_color(channels, k, channels_at(light, y, first + k, 0))
+                for c in ti.static(range(3)):
+                    seen[c][k] = light[y, first + k, c]
                 sharp[k] = contrast[y, first + k]
+            wrong, lost = _MODEL_ERROR / 3.0 * (seen[0] + seen[1] + seen[2]), sharp - 1.0
+            uneven = even * even + _LOST_DOUBT * _LOST_DOUBT * lost * lost
             for surface in range(out.shape[0]):
                 if (bits >> surface) & 1 == 1:
-                    inverse, rest = surface_matrix(unmixing, surface), surface_ambient(ambient, surface)
-                    for k in range(AT_ONCE):
-                        vector = inverse @ (color_of(channels, k) - rest)
-                        set_color(vectors, k, vector)
-                        place[k] = place_around(vector.x, vector.y)
+                    bare = [seen[c] - ambient[surface, c] for c in ti.static(range(3))]
+                    inverse = matrix_lanes(unmixing, surface, place_lanes)
+                    vector = through(inverse, bare, True)
+                    place = place_around(vector[0], vector[1])
                     for k in range(AT_ONCE):
                         at = ti.min(ti.cast(place[k], ti.i32), _PLACES - 1)
-                        ring[k], turn[k] = sharp[k] * rho[0, at], sharp[k] * rho[1, at]
-                    for k in range(AT_ONCE):
-                        seen, vector = color_of(channels, k), color_of(vectors, k)
-                        swing, size = vector.z * ring[k], ti.max(modulation_of(vector), 1e-9)
-                        cosine, sine, turned = vector.x / size, vector.y / size, vector.z * turn[k] / size
-                        across = vec3(cosine + sine * turned, sine - cosine * turned, -ring[k]) @ inverse
-                        wrong, doubt, lost = _MODEL_ERROR * seen.sum() / 3.0, _AMBIENT_ERROR * rest, sharp[k] - 1.0
-                        noise = read_variance + noise_gain * ti.max(seen, 0.0) + wrong * wrong + doubt * doubt
-                        uneven = even * even + _LOST_DOUBT * _LOST_DOUBT * lost * lost
-                        variance = (across * across).dot(noise) + uneven * swing * swing
-                        by_sigma = 1.0 / ti.sqrt(ti.max(variance, 1e-12))
-                        result[k] = ti.select(seen.x > SAYS_NOTHING, (size - swing) * by_sigma, SAYS_NOTHING)
-                        changes[k] = swing * by_sigma
+                        ring[k], turn[k] = rho[0, at], rho[1, at]
+                    swing = vector[2] * sharp * ring
+                    size = ti.max(ti.sqrt(vector[0] * vector[0] + vector[1] * vector[1]), 1e-9)
+                    unit = 1.0 / size
+                    cosine, sine, turned = vector[0] * unit, vector[1] * unit, vector[2] * sharp * turn * unit
+                    direction = [cosine + sine * turned, sine - cosine * turned, 0.0 - sharp * ring]
+                    variance = uneven * swing * swing
+                    for c in ti.static(range(3)):
+                        across = direction[0] * inverse[c] + direction[1] * inverse[c + 3]
+                        across += direction[2] * inverse[c + 6]
+                        doubt = _AMBIENT_ERROR * ambient[surface, c]
+                        noise = read_variance + noise_gain * ti.max(seen[c], 0.0) + wrong * wrong + doubt * doubt
+                        variance += across * across * noise
+                    by_sigma = 1.0 / ti.sqrt(ti.max(variance, 1e-12))
+                    result = ti.select(seen[0] > SAYS_NOTHING, (size - swing) * by_sigma, SAYS_NOTHING)
+                    changes = swing * by_sigma
                     for k in range(count):
                         out[surface, y, first + k] = result[k]
                     for k in range(asked):

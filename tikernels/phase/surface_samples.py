@@ -149,7 +149,6 @@ def compare_samples(
     matrices: _Array,
     ambient: _Array,
     light: npt.NDArray[np.complex128],
-    phase: _Floats,
 ) -> ComparedSamples:
     """Find the phase and the brightness of places, and what these leave over.
 
@@ -161,12 +160,11 @@ def compare_samples(
         Of their surfaces; levels.
     light : (3, 4) complex128
         Harmonics of the projector's light over its mean, from the first on.
-    phase : (n, S) float32
-        rad, where the step begins.
     """
     template = np.concatenate([np.ones((3, 1)), light.real, -light.imag], axis=1)
     tables = (matrices.astype(np.float32), ambient.astype(np.float32), template.astype(np.float32))
-    phase, out = phase.copy(), np.empty((len(phase), _ROWS, phase.shape[1]), np.float32)
+    phase = samples.phase.copy()
+    out = np.empty((len(phase), _ROWS, phase.shape[1]), np.float32)
     given = (samples.light, samples.variance, samples.contrast)
     compare_samples_kernel(*given, *tables, samples.contrast_doubt, phase, out)
     runtime.synchronize()

@@ -86,3 +86,22 @@ def neutral_light(
         surface = surface_at(labels, y, x)
         neutral = surface_matrix(unmixing, surface) @ (light - surface_ambient(ambient, surface))
     return neutral
+
+
+@ti.func
+def matrix_lanes(table: F32Array3, surface: i32, lanes: Static):
+    """Load a surface's matrix into lanes, row by row: each product with a number makes lanes of it anew."""
+    return [lanes(table[surface, n // 3, n % 3]) for n in ti.static(range(9))]
+
+
+@ti.func
+def through(matrix: Static, light: Static, mixed: Static):
+    """Return three channels' lanes by a surface's `matrix_lanes`; where nothing is mixed, as they are."""
+    return (
+        [
+            matrix[3 * c] * light[0] + matrix[3 * c + 1] * light[1] + matrix[3 * c + 2] * light[2]
+            for c in ti.static(range(3))
+        ]
+        if ti.static(mixed)
+        else light
+    )

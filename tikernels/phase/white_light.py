@@ -28,19 +28,20 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import checks, runtime
-from tikernels._taichi import AnyArray3, F32Array1, F32Array2, F32Array3, U8Array2, f32, ti, vec3
+from tikernels._taichi import AnyArray3, F32Array1, F32Array2, F32Array3, Static, U8Array2, f32, i32, ti, vec3
 from tikernels.arrays import F32, LevelsImage, Mask
+from tikernels.lanes import LANES, float_lanes
 from tikernels.launching import kernel
 from tikernels.phase.brightness_ripple import within_cycle
 from tikernels.phase.channel_template import load_harmonics, sharpened_cycle_and_slope
 from tikernels.phase.crosstalk import Crosstalk
-from tikernels.phase.phase_fit import load_nodes, surface_model
+from tikernels.phase.phase_fit import lane_of, nodes_between
 from tikernels.phase.phase_vector import TINY, color_at
-from tikernels.phase.surfaces import surface_at
+from tikernels.phase.surfaces import surface_ambient, surface_at, surface_matrix
 from tikernels.phase.white_level import white_level
 from tikernels.phase.wide_blur import wide_blur
 from tikernels.raw.linearization import LEVEL_TYPES
-from tikernels.strips import STRIP, color_of, set_color, strip_at, strip_count
+from tikernels.strips import color_of, lanes_of_colors, set_color, strip_at, strip_count
 
 # The window of k, across the stripes and along them, as a standard deviation in cycles: across, a code's contrast
 # changes by up to a sixth from one cycle to the next; along, by nothing. Without any, the second and third harmonic of
@@ -79,6 +80,26 @@ class FrameLight:
 
 
 @ti.func
+def surface_model(
+    cycle: vec3,
+    slope: vec3,
+    color: vec3,
+    ambient: vec3,
+    surface: i32,
+    mixing: F32Array3,
+    besides: F32Array2,
+    mixed: Static,
+):
+    """Return a pixel's channels M, their change with phase M' and contrast W, all for s = 1, and with ambient B."""
+    model, change, swing, rest = color * cycle, color * slope, color * (cycle - 1.0), ambient
+    if ti.static(mixed):
+        matrix = surface_matrix(mixing, surface)
+        model, change, swing = matrix @ model, matrix @ change, matrix @ swing
+        rest = matrix @ ambient + surface_ambient(besides, surface)
+    return model, change, swing, rest
+
+
+@ti.func
 def solved(light: vec3, model: vec3, change: vec3, swing: vec3):
     """Return s and s k of the module."""
     across = swing.cross(change)
@@ -90,7 +111,6 @@ def solved(light: vec3, model: vec3, change: vec3, swing: vec3):
 @cache
 def _measure_swing_kernel(mixed: bool, spacing_px: int) -> Any:
     """Return the kernel that measures contrasts, for nodes that are `spacing_px` px apart."""
-    lanes, lanes_of_colors = ti.types.vector(STRIP, ti.f32), ti.types.matrix(3, STRIP, ti.f32)
 
     @kernel
     def measure_swing_kernel(
@@ -106,31 +126,27 @@ def _measure_swing_kernel(mixed: bool, spacing_px: int) -> Any:
         clipped: f32,  # levels
         out: F32Array3,  # (H, W, 3) s^2 k, s^2 and 1; zeros off the mask, and where a channel is clipped
     ):
-        height, width, before = out.shape[0], out.shape[1], ti.static(spacing_px // 2)
-        for t in range(height * strip_count(width + before, STRIP)):
-            y, place, _ = strip_at(t, width + before, STRIP)
-            start, harmonics = place - before, load_harmonics(template)
-            light, colors, ambients = lanes_of_colors(0.0), lanes_of_colors(1.0), lanes_of_colors(0.0)
-            sharper, angle, counts = lanes_of_colors(1.0), lanes(0.0), lanes(0.0)
-            product, square = lanes(0.0), lanes(0.0)
-            load_nodes(nodes, sharpness, spacing_px, y, place, colors, ambients, sharper)
-            first, stop = ti.max(-start, 0), ti.min(STRIP, width - start)
-            for k in range(first, stop):
+        for t in range(out.shape[0] * strip_count(out.shape[1], LANES)):
+            y, start, count = strip_at(t, out.shape[1], LANES)
+            light, angle, counts = lanes_of_colors(0.0), float_lanes(0.0), float_lanes(0.0)
+            product, square, harmonics = float_lanes(0.0), float_lanes(0.0), load_harmonics(template)
+            colors, ambients, sharper = nodes_between(nodes, sharpness, spacing_px, y, start, float_lanes)
+            for k in range(count):
                 set_color(light, k, color_at(image, y, start + k))
                 if mask[y, start + k] != 0:
                     angle[k], counts[k] = within_cycle(phase[y, start + k]), 1.0
-            for k in range(STRIP):
+            for k in range(LANES):
                 seen = color_of(light, k)
-                cycle, slope = sharpened_cycle_and_slope(harmonics, angle[k], color_of(sharper, k))
-                surface = surface_at(labels, y, ti.max(start + k, 0))
+                cycle, slope = sharpened_cycle_and_slope(harmonics, angle[k], lane_of(sharper, k))
+                surface = surface_at(labels, y, start + k)
                 model, change, swing, rest = surface_model(
-                    cycle, slope, color_of(colors, k), color_of(ambients, k), surface, mixing, besides, mixed
+                    cycle, slope, lane_of(colors, k), lane_of(ambients, k), surface, mixing, besides, mixed
                 )
                 brightness, by_contrast = solved(seen - rest, model, change, swing)
                 counts[k] = ti.select(seen.max() < clipped, counts[k], 0.0)
                 brightness *= counts[k]
                 product[k], square[k] = brightness * by_contrast, brightness * brightness
-            for k in range(first, stop):
+            for k in range(count):
                 out[y, start + k, 0], out[y, start + k, 1], out[y, start + k, 2] = product[k], square[k], counts[k]
 
     return measure_swing_kernel
@@ -139,7 +155,6 @@ def _measure_swing_kernel(mixed: bool, spacing_px: int) -> Any:
 @cache
 def _light_by_white_kernel(mixed: bool, spacing_px: int) -> Any:
     """Return the kernel from the image to light under white, for nodes that are `spacing_px` px apart."""
-    lanes, lanes_of_colors = ti.types.vector(STRIP, ti.f32), ti.types.matrix(3, STRIP, ti.f32)
 
     # LLVM ends the process without flow analysis ("Invalid cast").
     @kernel(flow_analysis=True)
@@ -160,26 +175,22 @@ def _light_by_white_kernel(mixed: bool, spacing_px: int) -> Any:
         out_brightness: F32Array2,  # (H, W) their sum
         out_contrast: F32Array2,  # (H, W) the logarithm of kappa
     ):
-        height, width, before = out_brightness.shape[0], out_brightness.shape[1], ti.static(spacing_px // 2)
-        for t in range(height * strip_count(width + before, STRIP)):
-            y, place, _ = strip_at(t, width + before, STRIP)
-            start, harmonics = place - before, load_harmonics(template)
-            level = vec3(white[0], white[1], white[2])
-            light, colors, ambients = lanes_of_colors(0.0), lanes_of_colors(1.0), lanes_of_colors(0.0)
-            sharper, angle, counts, deviation = lanes_of_colors(1.0), lanes(0.0), lanes(0.0), lanes(0.0)
-            around, known = lanes(0.0), lanes(0.0)
-            load_nodes(nodes, sharpness, spacing_px, y, place, colors, ambients, sharper)
-            first, stop = ti.max(-start, 0), ti.min(STRIP, width - start)
-            for k in range(first, stop):
+        for t in range(out_brightness.shape[0] * strip_count(out_brightness.shape[1], LANES)):
+            y, start, count = strip_at(t, out_brightness.shape[1], LANES)
+            level, harmonics = vec3(white[0], white[1], white[2]), load_harmonics(template)
+            light, angle, counts = lanes_of_colors(0.0), float_lanes(0.0), float_lanes(0.0)
+            deviation, around, known = float_lanes(0.0), float_lanes(0.0), float_lanes(0.0)
+            colors, ambients, sharper = nodes_between(nodes, sharpness, spacing_px, y, start, float_lanes)
+            for k in range(count):
                 set_color(light, k, color_at(image, y, start + k))
                 if mask[y, start + k] != 0:
                     angle[k], counts[k] = within_cycle(phase[y, start + k]), 1.0
                     around[k], known[k] = means[y, start + k, 1], means[y, start + k, 2]
                     deviation[k] = means[y, start + k, 0] / ti.max(around[k], TINY)
-            for k in range(STRIP):
-                seen, color, ambient = color_of(light, k), color_of(colors, k), color_of(ambients, k)
-                cycle, slope = sharpened_cycle_and_slope(harmonics, angle[k], color_of(sharper, k))
-                surface = surface_at(labels, y, ti.max(start + k, 0))
+            for k in range(LANES):
+                seen, color, ambient = color_of(light, k), lane_of(colors, k), lane_of(ambients, k)
+                cycle, slope = sharpened_cycle_and_slope(harmonics, angle[k], lane_of(sharper, k))
+                surface = surface_at(labels, y, start + k)
                 model, change, swing, rest = surface_model(
                     cycle, slope, color, ambient, surface, mixing, besides, mixed
                 )
@@ -201,7 +212,7 @@ def _light_by_white_kernel(mixed: bool, spacing_px: int) -> Any:
                 deviation[k] = ti.log(ti.max(ti.min(kappa, _HIGHEST), _LOWEST))
                 shown = counts[k] * (brightness * (at_white + more * white_swing) + rest)
                 set_color(light, k, ti.max(shown, 0.0))
-            for k in range(first, stop):
+            for k in range(count):
                 shown = color_of(light, k)
                 out_brightness[y, start + k], out_contrast[y, start + k] = shown.sum(), deviation[k]
                 for i in ti.static(range(3)):

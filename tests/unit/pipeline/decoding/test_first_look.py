@@ -14,7 +14,6 @@ from tikernels.phase.surface_colors import color_ratios
 from tikernels.phase.surfaces import NO_SURFACE
 
 LEVELS = FrameLevels(255.0, 1.0, 0.0, 1.0, 5.0, 5.0)
-FLAT = np.zeros(257, np.float32)
 
 
 def look_at(image: np.ndarray) -> FirstLook:
@@ -23,7 +22,7 @@ def look_at(image: np.ndarray) -> FirstLook:
     gains.measure(image, crosstalk, LEVELS)
     model = ChannelModel(gains)
     model.recover(crosstalk, LEVELS)
-    return FirstLook(image, model, crosstalk, LEVELS, FLAT)
+    return FirstLook(image, model, crosstalk, LEVELS)
 
 
 def test_nodes_have_the_paints_colours(arch):

@@ -8,6 +8,7 @@ from tikernels.phase.surface_matrix import (
     BETWEEN,
     BROAD,
     NARROW,
+    FittedMatrices,
     LightDoubt,
     PredictedMatrices,
     band_weights,
@@ -83,13 +84,16 @@ def test_waves_are_the_light_and_its_slope():
     np.testing.assert_allclose(slope, step, atol=1e-6)
 
 
-def fitted(samples: SurfaceSamples, light_off: float = 1.0, bands: np.ndarray = BETWEEN, colors=None, **more):
+def fitted(
+    samples: SurfaceSamples, light_off=1.0, bands=BETWEEN, colors=None, before=None, *, fit_light=True, steps=4
+) -> FittedMatrices:
     colors = samples.light.mean(axis=2) - 6 if colors is None else colors
     prediction = PredictedMatrices.of(colors, MATRIX, bands)
     ambient = np.full((len(samples.light), 3), 5.0)
-    return fit_matrices(
-        samples, prediction, ambient, ambient, LIGHT * light_off, DOUBT, **({"fit_light": True, "steps": 4} | more)
-    )
+    given = (samples, prediction, ambient, ambient, LIGHT * light_off, DOUBT)
+    for _ in range(steps):
+        before = fit_matrices(*given, before, fit_light=fit_light)
+    return before
 
 
 def test_pixels_tell_the_matrix_better_than_the_colour_does():
