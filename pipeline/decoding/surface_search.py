@@ -340,7 +340,8 @@ class SurfaceSearch:
             both = zip(predictions, results, strict=True)
             results = [fit_matrices(samples, by, *given, first, fit_light=True) for by, first in both]
         best = int(np.argmin([result.cost for result in results]))
-        if len(level) == 1 and self._bands[best] is BROAD:
+        explained = float(results[best].misfit[0]) <= _CONTRADICTED
+        if len(level) == 1 and self._bands[best] is BROAD and explained:
             return None
         self._bands = [self._bands[best]]
         return results[best]
