@@ -58,9 +58,6 @@ class Worker:
     """
 
     def __init__(self, job: Job) -> None:
-        # Python 3.11 fails where two threads parse source at once, as compiling a kernel does.
-        import numcodecs  # noqa: F401 - so that the threads that read and write do not
-
         self._job = job
         self._source = job.open()
         self._files = self._source.files()
