@@ -340,8 +340,7 @@ class SurfaceSearch:
             both = zip(predictions, results, strict=True)
             results = [fit_matrices(samples, by, *given, first, fit_light=True) for by, first in both]
         best = int(np.argmin([result.cost for result in results]))
-        explained = float(results[best].misfit[0]) <= _CONTRADICTED
-        if len(level) == 1 and self._bands[best] is BROAD and explained:
+        if len(level) == 1 and self._bands[best] is BROAD:
             return None
         self._bands = [self._bands[best]]
         return results[best]
