@@ -424,7 +424,7 @@ _ALL = (
         "offset_labelling:pool_evidence"),
     Mechanism("cutting's windows", "windows of several sizes show another offset", "pile-small-coded",
         {"region_cutting:_WINDOWS": gives(np.array([[1, 1]]))},
-        "offset_labelling:find_other_offsets offset_labelling:scan_windows_kernel offset_labelling:sum_tables_kernel"),
+        "offset_windows:find_other_offsets offset_windows:scan_windows_kernel offset_windows:sum_tables_kernel"),
     Mechanism("rejoining", "pieces with their region's offset are put back", "capture-parcel-coded",
         {"coded_orders:_rejoined": first_argument}, "coded_orders:_rejoined"),
     Mechanism("settling", "patches at a border move to the part that they fit, or are left out", "touching-coded",
