@@ -240,12 +240,12 @@ class SurfaceSearch:
         self._tried = self._near_edges(_EDGE_PX)
 
     def run(self) -> tuple[FoundSurfaces | None, NoModelFits | None]:
-        """Look for the surfaces; None: there is but one, which acts as the balance alone undoes."""
+        """Look for the surfaces; None: there is but one, which acts as the balance alone undoes, or none fits."""
         before = self._before
         for _ in range(_TURNS if before is None else 1):
             fitted = self._fit() if before is None else before.fitted
-            if fitted is None:
-                return None, None
+            if fitted is None or self._balanced(fitted):
+                return None, self._contradiction(fitted)
             new = self._relabel(fitted, self._neutral(fitted), afresh=before is not None)
             self._keep(new, fitted)
             if before is not None:
@@ -254,8 +254,8 @@ class SurfaceSearch:
             if not added:
                 break
         fitted = self._fit(ends=True)
-        if fitted is None:
-            return None, None
+        if fitted is None or self._balanced(fitted):
+            return None, self._contradiction(fitted)
         if before is not None and self._fitted is not None:
             fitted = fitted.after(self._fitted)
         neutral = self._neutral(fitted)
@@ -268,16 +268,11 @@ class SurfaceSearch:
         self, new: Relabelled, fitted: FittedMatrices, neutral: NeutralLight
     ) -> tuple[FoundSurfaces | None, NoModelFits | None]:
         """Return the surfaces, unless the largest is far from fitting, as with a calibration that is not this rig's."""
-        sizes = np.bincount(self._labels.ravel(), minlength=NO_SURFACE)[: len(fitted.matrices)]
-        shares, largest = sizes / max(sizes.sum(), 1), sizes.argmax()
-        ratios = color_ratios(self._colors) - color_ratios(self._white)
-        if fitted.misfit[largest] > _CONTRADICTED:
-            color = color_word(ratios[largest])
-            return None, NoModelFits(float(fitted.misfit[largest]), float(shares[largest]), color)
-        strange = (fitted.misfit > _ODD) & (sizes > 0)
-        color = color_word(ratios[np.where(strange, sizes, 0).argmax()])
-        odd = NoModelFits(float(fitted.misfit[strange].max(initial=0)), float(shares[strange].sum()), color)
-        whitest = np.abs(ratios).max(axis=1).argmin()
+        contradiction = self._contradiction(fitted)
+        if contradiction is not None:
+            return None, contradiction
+        odd = self._left_over(fitted, fitted.misfit > _ODD)
+        whitest = np.abs(self._ratios).max(axis=1).argmin()
         found = FoundSurfaces(
             self._known.crosstalk(fitted.matrices, self._of_pixels(new, neutral), fitted.ambient),
             self._known.template(fitted.light),
@@ -286,6 +281,33 @@ class SurfaceSearch:
             float(fitted.mismatch[whitest]),
         )
         return found, odd if odd.share > _ODD_SHARE else None
+
+    def _balanced(self, fitted: FittedMatrices) -> bool:
+        """Whether the frame's only surface acts as the balance alone undoes."""
+        return len(fitted.matrices) == 1 and self._bands[0] is BROAD
+
+    def _contradiction(self, fitted: FittedMatrices | None) -> NoModelFits | None:
+        """Return what is left over of the largest surface if that is far from fitting."""
+        if fitted is None:
+            return None
+        odd = self._left_over(fitted, np.arange(len(fitted.misfit)) == self._sizes(fitted).argmax())
+        return odd if odd.misfit > _CONTRADICTED else None
+
+    def _left_over(self, fitted: FittedMatrices, surfaces: _Mask) -> NoModelFits:
+        """Return what the matrices of some surfaces leave over."""
+        sizes = self._sizes(fitted)
+        share = np.where(surfaces, sizes, 0) / max(sizes.sum(), 1)
+        misfit = float(fitted.misfit[share > 0].max(initial=0))
+        return NoModelFits(misfit, float(share.sum()), color_word(self._ratios[share.argmax()]))
+
+    def _sizes(self, fitted: FittedMatrices) -> npt.NDArray[np.intp]:
+        """Return how many places show each surface."""
+        return np.bincount(self._labels.ravel(), minlength=NO_SURFACE)[: len(fitted.matrices)]
+
+    @property
+    def _ratios(self) -> FloatArray:
+        """(n, 3) how far each surface's colour is from white, as logarithms of ratios."""
+        return color_ratios(self._colors) - color_ratios(self._white)
 
     def _of_pixels(self, new: Relabelled, neutral: NeutralLight) -> _Labels:
         """Return which surface each pixel shows, (H, W): that of the places around, or where these differ its own."""
@@ -305,7 +327,7 @@ class SurfaceSearch:
         return labels
 
     def _fit(self, *, ends: bool = False) -> FittedMatrices | None:
-        """Fit the surfaces' matrices; None if the frame's only surface acts as the balance alone undoes.
+        """Fit the surfaces' matrices; None if there is no surface.
 
         Noise tells surfaces apart best; in the end it is the model that is wrong by more.
         """
@@ -340,8 +362,6 @@ class SurfaceSearch:
             both = zip(predictions, results, strict=True)
             results = [fit_matrices(samples, by, *given, first, fit_light=True) for by, first in both]
         best = int(np.argmin([result.cost for result in results]))
-        if len(level) == 1 and self._bands[best] is BROAD:
-            return None
         self._bands = [self._bands[best]]
         return results[best]
 
@@ -371,7 +391,7 @@ class SurfaceSearch:
     def _alike(self, fitted: FittedMatrices) -> _Mask:
         """Return which surfaces have nearly the colour of a larger one."""
         ratios = color_ratios(fitted.matrices.sum(axis=2))
-        sizes = np.bincount(self._labels.ravel(), minlength=NO_SURFACE)[: len(ratios)]
+        sizes = self._sizes(fitted)
         apart = np.abs(ratios[:, None] - ratios).max(axis=2)
         return np.asarray(((apart < _ALIKE) & (sizes > sizes[:, None])).any(axis=1))
 

@@ -16,8 +16,10 @@ from typing import Any
 
 import numpy as np
 
+from tikernels import runtime
 from tikernels._taichi import f32, i32, ti
-from tikernels.phase.phase_vector import absolute_lanes
+from tikernels.phase.channel_template import HARMONICS, known_template
+from tikernels.phase.phase_vector import absolute_lanes, channel_delays
 
 Original = Any
 Replacement = Callable[[Original], Any]
@@ -134,6 +136,18 @@ def setting(**values: Any) -> Callable[[Any], None]:
 def with_arguments(**fixed: Any) -> Replacement:
     """Return what calls a function with some arguments fixed."""
     return lambda original: lambda *arguments, **named: original(*arguments, **(named | fixed))
+
+
+def known_cycle(original: Original) -> Any:
+    """Take the template as it is known, and where nothing is, that of sinusoids of full contrast."""
+
+    def fit(self: Any, crosstalk: Any, correction: Any, known: Any, doubt: float, *, fixed: bool = False) -> None:
+        if not runtime.to_host(known)[:, 1:].any():
+            light = np.exp(1j * channel_delays())[:, None] * np.eye(1, HARMONICS)
+            known = known_template(crosstalk.matrix, np.concatenate([np.ones((3, 1)), light / 2], axis=1))
+        original(self, crosstalk, correction, known, doubt, fixed=True)
+
+    return fit
 
 
 def no_light(original: Original) -> Any:
@@ -349,7 +363,7 @@ _ALL = (
     Mechanism("ambient light", "the share of the background that does not follow the fringe", "bust-skin-1.8",
         {"channel_model:ChannelModel.recover": then(setting(_share=0.0))}, "channel_model:ambient_at"),
     Mechanism("template", "one cycle of the channels is read off the frame", "bust-skin-1.8",
-        {"channel_model:ChannelModel.fit": with_arguments(fixed=True)},
+        {"channel_model:ChannelModel.fit": known_cycle},
         "channel_model:ChannelModel._fit_template channel_model:sum_template_kernel"),
     Mechanism("empty windows", "nodes whose window is cut off take those around", "objects-skin-2",
         {"channel_model:_EMPTY": gives(1000000.0)}, "channel_model:settle_nodes_kernel"),

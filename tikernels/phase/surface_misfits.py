@@ -278,7 +278,7 @@ def surface_misfits_kernel(
                     vector = through(inverse, bare, True)
                     place = place_around(vector[0], vector[1])
                     for k in range(AT_ONCE):
-                        at = ti.min(ti.cast(place[k], ti.i32), _PLACES - 1)
+                        at = ti.min(ti.max(ti.cast(place[k], ti.i32), 0), _PLACES - 1)  # of a NaN: any
                         ring[k], turn[k] = rho[0, at], rho[1, at]
                     swing = vector[2] * sharp * ring
                     size = ti.max(ti.sqrt(vector[0] * vector[0] + vector[1] * vector[1]), 1e-9)
