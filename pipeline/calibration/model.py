@@ -137,7 +137,8 @@ class Geometry:
         if len(points) == 0:  # OpenCV then returns nothing
             return np.zeros((0, 2))
         turn, lens = cv2.Rodrigues(self.rotation)[0], self.projector
-        pixels = cv2.projectPoints(points, turn, self.translation_mm, lens.matrix, lens.distortion)[0]
+        given = (np.ascontiguousarray(points), turn, self.translation_mm, lens.matrix, lens.distortion)
+        pixels = cv2.projectPoints(*given)[0]
         return np.asarray(pixels[:, 0])
 
     def pattern_cycles(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

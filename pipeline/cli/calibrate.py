@@ -389,3 +389,6 @@ calibrate.command(
     "pipeline.cli.calibrate_import:import_calibration", name="import", help="Read other programs' calibrations."
 )
 calibrate.command("pipeline.cli.calibrate_capture:capture", name="capture", help="Show and take the pictures, guided.")
+calibrate.command(
+    "pipeline.cli.calibrate_touch_up:touch_up", name="touch-up", help="Take out what has drifted, by a still thing."
+)

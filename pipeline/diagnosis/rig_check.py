@@ -5,7 +5,7 @@ epipolar lines. Where the light is at fault, one frame can correct the calibrati
 """
 
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -21,15 +21,15 @@ from pipeline.decoder import Decoder
 from pipeline.decoding.frame import DecodedFrame
 from pipeline.diagnosis.channel_spectra import KnownLight
 from pipeline.diagnosis.frame_sequence import MIN_FRAMES, SequenceDiagnosis, diagnose_sequence
+from pipeline.diagnosis.picture_reader import PictureReader
 from pipeline.diagnosis.ripple import Diagnosis, diagnose, other_transfer
-from pipeline.errors import CalibrationError, DecodeWarning, FootageError
-from pipeline.footage.source import BadFrame, Source
-from pipeline.models import CameraState, CodeName, FloatArray, ImageArray
+from pipeline.errors import CalibrationError, DecodeWarning
+from pipeline.footage.source import Source
+from pipeline.models import CameraState, FloatArray, ImageArray
 from pipeline.robust import fit_plane, fit_sphere, robust_sigma
 from pipeline.settings import DecodeSettings
 from tikernels import runtime
 from tikernels.depth.triangulation import triangulate
-from tikernels.raw.development import develop
 from tikernels.raw.lateral_color import align_channels
 from tikernels.raw.linearization import WHITE_LEVELS, Transfer, linearize
 
@@ -422,9 +422,7 @@ def check_picture(
     CalibrationError
         It is of another camera, or shows nothing of that shape.
     """
-    if len(source) != 1:
-        raise FootageError(f"{source.name} holds {len(source)} frames: give one picture, or a folder of frames")
-    reader = _Reader(source, calibration, settings, arch)
+    reader = PictureReader.of_one(source, calibration, settings, arch)
     ((image, frame),) = reader.frames()
     if not frame.mask.any():
         return None
@@ -453,7 +451,7 @@ def check_sequence(
         raise CalibrationError(
             f"{source.name} holds {len(source)} pictures: at least {MIN_FRAMES} frames in a row are needed"
         )
-    reader = _Reader(source, calibration, settings, arch)
+    reader = PictureReader(source, calibration, settings, arch)
     light: list[ImageArray] = []
     phases, masks = [], []
     for image, frame in reader.frames():
@@ -462,30 +460,3 @@ def check_sequence(
         masks.append(frame.mask)
     place = reader.calibration.geometry() if calibration.has_geometry else None
     return len(source), diagnose_sequence(light, 1.0, phases, masks, place, calibration.crosstalk_matrix)
-
-
-class _Reader:
-    """Reads frames and decodes them; what the settings leave open, the calibration says."""
-
-    def __init__(self, source: Source, calibration: Calibration, settings: DecodeSettings, arch: str) -> None:
-        self.calibration = calibration = calibration.as_read_out(source.size_px, source.sensor, source.name)
-        if calibration.pattern is not None and "stripes" not in settings.model_fields_set:
-            settings = settings.model_copy(update={"stripes": calibration.pattern.stripes})
-        at_calibration = None if calibration.capture is None else calibration.capture.transfer
-        self.transfer: Transfer = settings.transfer or "linear"
-        if settings.transfer is None and at_calibration is not None:
-            self.transfer = at_calibration
-        self._source, self._stripes = source, settings.stripes
-        self._decoder = Decoder(settings, calibration, arch=arch)
-
-    @property
-    def code(self) -> CodeName | None:
-        """The pattern's code, by all that has been read."""
-        return self._decoder.code
-
-    def frames(self) -> Iterator[tuple[ImageArray, DecodedFrame]]:
-        for stored in self._source.frames():
-            if isinstance(stored, BadFrame):
-                raise FootageError(stored.reason)
-            image = runtime.to_host(develop(stored.planes, stored.format, stripes=self._stripes))
-            yield image, self._decoder.decode(image)

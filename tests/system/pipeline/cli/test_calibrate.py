@@ -260,10 +260,33 @@ def test_check_and_fix(folder, command):
     assert done.returncode == 1 and "cannot read nothing.png" in done.stderr
 
 
+def test_touch_up(command, tmp_path):
+    """Three tenths of a pixel are told, and taken out; pictures of another thing are one line."""
+    known = simulated_rig((320, 240), code="contrast", period_px=2 * 768 / 44)
+    known = known.model_copy(update={"crosstalk_matrix": SimulationSettings().crosstalk_matrix})
+    matrix = known.projector.matrix.copy()
+    matrix[1, 2] += 0.3
+    rig = known.model_copy(update={"projector": known.projector.model_copy(update={"matrix": matrix})})
+    for name, each in (("before", known), ("now", rig)):
+        write_png(tmp_path / f"{name}.png", simulate_frame(each, SimulationSettings(scene="plane")).image)
+    known.write(tmp_path / "calibration.json")
+    arguments = ("calibrate", "touch-up", "now.png", "--calibration", "calibration.json", "--arch", "cpu")
+    done = command(*arguments, "--before", "before.png", "--out", "new.json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "the pattern has moved across the stripes by +0.3" in done.stdout or "by +0.29" in done.stdout
+    assert done.stdout.endswith("wrote new.json\n")
+    new = Calibration.read(tmp_path / "new.json")
+    assert 0 < new.uncertainty.depth_bias_mm < 0.1
+    write_png(tmp_path / "small.png", read_image(tmp_path / "before.png")[:120])
+    done = command(*arguments, "--before", "small.png", "--out", "other.json", cwd=tmp_path)
+    assert done.returncode == 1 and "small.png is 320x120 but the calibration is for" in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1 and not (tmp_path / "other.json").exists()
+
+
 def test_its_commands_are_named_with_what_they_do(folder, command):
     done = command("calibrate", "--help")
     assert done.returncode == 0
-    for name in ("simulate", "radiometry", "wavelengths", "geometry", "check"):
+    for name in ("simulate", "radiometry", "wavelengths", "geometry", "check", "touch-up"):
         assert f"│ {name} " in done.stdout, name
 
 
