@@ -88,7 +88,8 @@ def test_endless_pulses_are_numbered_on(tmp_path):
 
 
 def test_after_a_fault_endless_pulses_are_another_burst(tmp_path):
-    bench = Bench(settings(alternating=False, period_s=SLOW_S), [Faulty(), Faulty(lost_trigger=frozenset({FRAMES + 1}))])
+    faults = [Faulty(), Faulty(lost_trigger=frozenset({FRAMES + 1}))]
+    bench = Bench(settings(alternating=False, period_s=SLOW_S), faults)
     captured(bench, tmp_path / "out", CapturePlan(3, endless=True))
     frames = [line for line in check_folder(bench, tmp_path / "out", 3) if line["event"] == "frame"]
     assert [(line["burst"], line["pulse"]) for line in frames] == [
