@@ -6,7 +6,7 @@ share are fitted at each offset. A block deviates from the fit by noise and a sp
 the edges of a surface does. The spread is not known, and integrated over. `docs/coded_pattern.md` has the derivation.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -34,6 +34,8 @@ _SOME, _LIKELIEST, _MANY, _CONTENDS = 300, 4, 1200, 30.0
 # Of a part's blocks, those whose orders may lie outside the pattern at either end; and how probably a part shows no
 # code.
 _STRAYS, _NO_CODE = 0.05, 0.1
+# Of a part's blocks, those at either end whose brightness is not most of the part's.
+_UNUSUAL = 0.1
 # Shifts of half a cell either way that are tried, which share of a cell is too far to be believed, and by how much
 # likelier one far off must be than any other, and than no code at all.
 _SHIFTS, _MOST_SHIFT, _SURE_SHIFT = 13, 0.25, 33.0
@@ -303,13 +305,15 @@ class CodeReader:
         """Return the contrasts (n,) of a part's blocks as if its factor were the same all over.
 
         The mean deviation from the code of the blocks about as bright that lie in so many blocks and rows of patches
-        around each is taken off, too. It includes the share of ambient light, which is not taken from the fit: fitted
-        to a wall's shading, it is wrong for dark paint in front.
+        around each is taken off, too. The share of ambient light is that of blocks as bright as most of the part:
+        fitted to a wall's shading, it would be wrong for dark paint in front.
         """
-        read = self.read(which)
-        terms = read.terms[:, offset - read.first, None].copy()
-        terms[-1] = 0.0
-        return np.asarray(self._flat(self._part(which), np.array([offset]), terms, around, 1)[0], np.float64)
+        read, part = self.read(which), self._part(which)
+        values = part.values.copy()
+        usual = np.quantile(values[Row.DARKER], (_UNUSUAL, 1 - _UNUSUAL))
+        values[Row.DARKER] = np.clip(values[Row.DARKER], *usual)
+        terms = read.terms[:, offset - read.first, None]
+        return np.asarray(self._flat(replace(part, values=values), np.array([offset]), terms, around, 1)[0], np.float64)
 
     def _flat(
         self, part: PartBlocks, offsets: Integers, terms: FloatArray, around: tuple[int, int], step: int

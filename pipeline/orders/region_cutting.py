@@ -32,7 +32,7 @@ from tikernels.unwrapping.tables import CELL_HEIGHT, CELL_WIDTH
 _AROUND = (17, 5)
 # Smallest standard deviation of a block's contrast: what its surface's factor may be off by. Blocks side by side
 # deviate alike: each counts as this many.
-_MIN_SIGMA, _COUNTS = 0.03, 0.5
+_MIN_SIGMA, _COUNTS = 0.02, 0.5
 # What a single block may deviate by from the code, in standard deviations: edges and blemishes deviate by more, and
 # must not decide alone.
 _MAX_DEVIATION = 3.0
