@@ -15,8 +15,8 @@ from pipeline.models import FloatArray
 
 # Places in the camera's picture along either side, and depths from which the bounds come; more change nothing.
 _PLACES = 9
-# Where no depth range is given, things are at these parts of the working distance: possible, and usual.
-_POSSIBLE, _USUAL = (0.5, 2.5), (0.6, 1.6)
+# Where no depth range is given, things are between these parts of the working distance.
+_NEAREST, _FARTHEST = 0.5, 2.0
 # Where most of a surface is turned further away from the camera or the projector than the first, neither sees much of
 # it; usual surfaces are turned by less than the second: simulated scenes stay within 40 degrees.
 _MOST_TILT, _USUAL_TILT = np.radians(70), np.radians(50)
@@ -52,8 +52,8 @@ class ExpectedFringe:
         if depth_range_mm is None and distance is None:
             return None
         possible, usual = (
-            _bounds(geometry, depth_range_mm or (near * (distance or 0), far * (distance or 0)), tilt)
-            for (near, far), tilt in ((_POSSIBLE, _MOST_TILT), (_USUAL, _USUAL_TILT))
+            _bounds(geometry, depth_range_mm or (_NEAREST * (distance or 0), _FARTHEST * (distance or 0)), tilt)
+            for tilt in (_MOST_TILT, _USUAL_TILT)
         )
         if possible is None or usual is None:
             return None

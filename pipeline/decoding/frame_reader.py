@@ -112,11 +112,12 @@ class FrameReader:
         if not isinstance(image, np.ndarray) and not runtime.is_device_array(image):
             raise ShapeError(f"image is a {type(image).__name__}: pass a NumPy array of shape (H, W, 3)")
         shape = tuple(image.shape)
-        if len(shape) == 2 or (len(shape) == 3 and shape[2] == 1):
+        channels = shape[2:]
+        if len(shape) == 2 or channels == (1,):
             raise ShapeError(f"image is grey ({size_text(shape)}): the phase is in the colours, pass (H, W, 3) RGB")
-        if len(shape) == 3 and shape[2] == 4:
+        if channels == (4,):
             raise ShapeError("image has four channels: drop the transparency with image[..., :3]")
-        if len(shape) != 3 or shape[2] != 3:
+        if channels != (3,):
             raise ShapeError(f"image has shape {shape}: pass (H, W, 3) RGB")
         if min(shape[:2]) < _MIN_SIZE_PX:
             raise ShapeError(f"image is {size_text(shape)}: at least {_MIN_SIZE_PX}x{_MIN_SIZE_PX} px are needed")

@@ -155,7 +155,7 @@ def _turn(H: _Complexes, floor: float) -> tuple[float, float]:
 def smallest_leaks(h: _Complexes) -> FloatArray:
     """Return the matrix of h_j = sum_k M_jk exp(i d_k), rows of sum one, scaled so that no leak is negative."""
     real = (h[:, None] * _TURNS.conj()).real
-    return np.asarray(1 / 3 - real / (3 * min(real[~np.eye(3, dtype=bool)].min(), -TINY)))
+    return np.asarray((1 - real / min(real[~np.eye(3, dtype=bool)].min(), -TINY)) / 3)
 
 
 def estimate_light(image: LevelsImage, levels: FrameLevels, period_px: float, cycles: float) -> LightEstimate:

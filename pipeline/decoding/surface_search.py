@@ -16,8 +16,8 @@ from pipeline.decoding.first_look import FirstLook
 from pipeline.models import FloatArray
 from tikernels.phase.channel_template import known_template
 from tikernels.phase.crosstalk import Crosstalk
-from tikernels.phase.phase_vector import phase_weights
-from tikernels.phase.surface_colors import color_ratios, color_word, common_colors, nearest_colors
+from tikernels.phase.phase_vector import TINY, phase_weights
+from tikernels.phase.surface_colors import MOST_COLORS, color_ratios, color_word, common_colors, nearest_colors
 from tikernels.phase.surface_labels import LEAST_PX, Relabelled, cells_of_pixels, choose_surfaces, relabel
 from tikernels.phase.surface_matrix import (
     BROAD,
@@ -27,7 +27,7 @@ from tikernels.phase.surface_matrix import (
     fit_matrices,
     predict_matrices,
 )
-from tikernels.phase.surface_misfits import NeutralLight, average_light, surface_misfits
+from tikernels.phase.surface_misfits import MODEL_ERROR, NeutralLight, average_light, surface_misfits
 from tikernels.phase.surface_samples import compare_samples
 from tikernels.phase.surfaces import NO_SURFACE, Surfaces
 
@@ -35,18 +35,16 @@ _Labels = npt.NDArray[np.uint8]
 _Mask = npt.NDArray[np.bool_]
 _Complexes = npt.NDArray[np.complex128]
 
-# Places of all surfaces that are asked, in the first turn and in all others; and of one. Those near its edges, where
-# the other side's light is blurred in, only if the inside has fewer than the fourth; and it has at least the fifth.
-_FIRST_SAMPLES, _SAMPLES, _MOST_SAMPLES, _FEW_SAMPLES, _LEAST_SAMPLES = 1000, 4000, 1500, 60, 20
+# Places of all surfaces that are asked, in the first turn and in all others; and of one, which has at least the fourth.
+# Those near its edges, where the other side's light is blurred in, are asked only if the inside has fewer.
+_FIRST_SAMPLES, _SAMPLES, _MOST_SAMPLES, _LEAST_SAMPLES = 1000, 4000, 1500, 20
 _MARGIN_PX = 17
 # They are spread evenly: the golden section, whose multiples come nowhere near each other.
 _GOLDEN = 0.6180339887498949
 # A frame whose colours are this close to white, as logarithms of ratios, has nothing to undo.
 _NEUTRAL = 0.05
-# How often the common light is fitted, too, at most, and up to so many new surfaces are made.
-_TURNS, _NEW = 2, 5
-# The largest number of surfaces.
-_MOST = 16
+# How often the common light is fitted, too, and new surfaces are made, at most.
+_TURNS = 2
 # Under a code surfaces whose colours differ by less (natural logarithm) are one paint: its contrasts look like another
 # one's a little, as far as the light is not known.
 _ALIKE = 0.1
@@ -62,8 +60,6 @@ _PHASE_OF_LIGHT = 2.0
 _COLOR_CYCLES = 1.0
 # The width of an edge between two colours, px.
 _EDGE_PX = 9
-# A matrix makes of a pixel's light what is there but for this fraction.
-_MODEL_ERROR = 0.01
 # Ambient light is at most this share of a surface's.
 _MOST_AMBIENT = 0.5
 
@@ -342,10 +338,10 @@ class SurfaceSearch:
         light = self._lattice.light.reshape(-1, 3)[places].swapaxes(1, 2)
         level = light.mean(axis=2, dtype=np.float64)
         colors, white = self._colors, known.matrix * self._white[:, None]
-        expected = np.minimum(look.ambient * 3 * colors / colors.sum(axis=1, keepdims=True), _MOST_AMBIENT * level)
+        expected = np.minimum(look.ambient * colors / colors.mean(axis=1, keepdims=True), _MOST_AMBIENT * level)
         if self._ambient is None:
             self._ambient = expected
-            colors = np.maximum(level - expected, 1e-6)
+            colors = np.maximum(level - expected, TINY)
         predictions = [PredictedMatrices.of(colors, white, bands) for bands in self._bands]
         matrices = predictions[0].matrices
         if before is not None:
@@ -355,7 +351,7 @@ class SurfaceSearch:
         around, contrast = look.around.ravel()[places], self._lattice.contrast.ravel()[places]
         samples = look.surface_samples(light, around, contrast, unmixing, self._ambient, share, known.contrast_doubt)
         if ends:
-            samples = replace(samples, variance=samples.variance + (_MODEL_ERROR * light) ** 2)
+            samples = replace(samples, variance=samples.variance + (MODEL_ERROR * light) ** 2)
         given = (expected, self._ambient, known.light, known.doubt)
         results = [fit_matrices(samples, by, *given, before, fit_light=not ends) for by in predictions]
         if before is None:  # only a second step shows which prediction fits: ambient light hides it from the first
@@ -372,7 +368,7 @@ class SurfaceSearch:
         for surface in range(len(self._colors)):
             own = clear & (labels == surface)
             places = np.flatnonzero(own & inside)
-            if len(places) < _FEW_SAMPLES:
+            if len(places) < _LEAST_SAMPLES:
                 places = np.flatnonzero(own)
             if len(places) >= _LEAST_SAMPLES:
                 chosen[surface] = places
@@ -414,8 +410,8 @@ class SurfaceSearch:
         sigma = _COLOR_CYCLES * lattice.period_px
         share = lattice.blurred(unexplained, sigma)[..., None]
         seen = lattice.blurred(np.where(unexplained[..., None], lattice.light, 0), sigma)
-        ratios = color_ratios((seen / np.maximum(share, 1e-6))[unexplained])
-        centers = common_colors(ratios, np.ones(len(ratios)), least)[: max(0, min(_NEW, _MOST - count))]
+        ratios = color_ratios((seen / np.maximum(share, TINY))[unexplained])
+        centers = common_colors(ratios, np.ones(len(ratios)), least)[: max(0, MOST_COLORS - count)]
         nearest = nearest_colors(ratios, centers)
         places = [_largest_part(unexplained, nearest == k, least) for k in range(len(centers))]
         places = [place for place in places if np.count_nonzero(place) >= least]
@@ -426,7 +422,7 @@ class SurfaceSearch:
         self._labels = self._labels.copy()
         for number, place in enumerate(places, count):
             self._labels[place] = number
-        self._colors = np.concatenate([self._colors, np.maximum(light - ambient, 1e-6)])
+        self._colors = np.concatenate([self._colors, np.maximum(light - ambient, TINY)])
         self._ambient = np.concatenate([self._ambient, ambient])
         self._first = np.concatenate([self._first, np.zeros(len(places), bool)])
         return True

@@ -47,7 +47,7 @@ from tikernels.phase.crosstalk import Crosstalk, weighed_vector
 from tikernels.phase.equalization import BINS, place_in_cycle
 from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.fringe_sharpness import TILES, FringeSharpness, equalized_at
-from tikernels.phase.phase_vector import TINY, arctangent, matrix_of, modulation_of
+from tikernels.phase.phase_vector import TINY, arctangent, channel_mean, matrix_of, modulation_of
 from tikernels.phase.wrapped_phase import NO_PHASE, has_phase
 from tikernels.strips import SPREAD, STRIP, color_of, lanes_of_colors, set_color, strip_at, strip_count
 
@@ -257,7 +257,7 @@ def is_lit(light: vec3, min_intensity: f32, clipped: f32) -> u1:
     """
     low, high = ti.min(light.x, light.y), ti.max(light.x, light.y)
     second_brightest = ti.max(low, ti.min(high, light.z))
-    return (light.sum() > 3.0 * min_intensity) & (second_brightest < clipped)
+    return (channel_mean(light) > min_intensity) & (second_brightest < clipped)
 
 
 @kernel

@@ -30,7 +30,7 @@ from tikernels.phase.balance_window import BalanceWindow
 from tikernels.phase.crosstalk import Crosstalk, unmixed
 from tikernels.phase.frame_statistics import MIN_PERIOD_PX, FrameLevels
 from tikernels.phase.phase_change import LEAST_CHANGE, SAMPLE
-from tikernels.phase.phase_vector import TINY, color_at, matrix_of, modulation_of
+from tikernels.phase.phase_vector import TINY, channel_mean, color_at, matrix_of, modulation_of
 from tikernels.phase.surfaces import neutral_light, shows_surface
 from tikernels.raw.linearization import LEVEL_TYPES
 from tikernels.strips import SPREAD, color_of, lanes_of_colors, set_color, strip_at, strip_count
@@ -162,7 +162,7 @@ def balancing_gain(seen: vec3, predicted: vec3) -> vec3:
     gain = vec3(1.0)
     if ti.min(seen.min(), predicted.min()) > TINY:
         color = seen / predicted
-        gain = color.sum() / 3.0 / color
+        gain = channel_mean(color) / color
     return gain
 
 
@@ -205,7 +205,7 @@ def _collect_samples_kernel(mixed: bool) -> Any:
             for y in range(i * rows, ti.min((i + 1) * rows, height)):
                 x, kept = j * 2 * rows + (y & 1) * rows, vec3(0.0)
                 light = color_at(image, y, ti.min(x, width - 1))
-                lit = (x < width) & (light.sum() > 3.0 * min_intensity)
+                lit = (x < width) & (channel_mean(light) > min_intensity)
                 if ti.static(mixed):
                     lit = lit & shows_surface(labels, y, x)
                 if lit:
@@ -293,7 +293,7 @@ def predict_blocks_kernel(
                 for c in ti.static(range(3)):
                     sums[WindowSum.SEEN + c, k] += counts * sample[c]
                     sums[WindowSum.PREDICTED + c, k] += counts * predicted[c]
-                sums[WindowSum.BACKGROUND, k] += counts * (sample * gain).sum() / 3.0
+                sums[WindowSum.BACKGROUND, k] += counts * channel_mean(sample * gain)
                 sums[WindowSum.SAMPLES, k] += counts
         for k in range(count):
             fringed = ti.select(ti.abs(turn[1, k]) < least_turn * turn[0, k], 0.0, 1.0)

@@ -137,8 +137,7 @@ def modulation_tables(table: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]
     bins = len(table) - 1
     edges = np.linspace(-np.pi, np.pi, bins + 1)
     corrected = edges + table
-    turns = 2 * np.pi * np.array([[-1], [0], [1]])
-    error = np.interp(edges, (corrected[:-1] + turns).ravel(), np.tile(table[:-1].astype(np.float64), 3))
+    error = np.interp(edges, corrected[:-1], table[:-1], period=2 * np.pi)
     spectrum = np.fft.rfft(error[:-1])
     # Whatever is added to a phase moves it along the correction's slope.
     slope = 1 - np.gradient(error, edges[1] - edges[0])

@@ -29,7 +29,7 @@ from tikernels.phase.channel_model import ChannelModel
 from tikernels.phase.channel_template import cycle_and_slope, load_harmonics
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.phase_fit import FittedPhase, doubted, node_model
-from tikernels.phase.phase_vector import TINY, color_at
+from tikernels.phase.phase_vector import TINY, channel_mean, color_at
 from tikernels.phase.surfaces import surface_at, surface_matrix
 from tikernels.phase.wrapped_phase import LEAST_NO_PHASE, has_phase
 from tikernels.raw.linearization import LEVEL_TYPES
@@ -158,7 +158,7 @@ def _hold_still_kernel(mixed: bool) -> Any:
                 if ti.static(mixed):
                     surface = surface_matrix(mixing, surface_at(labels, y, x))
                     added, color = surface @ added, surface @ color
-                seen -= 3.0 * brightness[y, x] / ti.max(color.sum(), TINY) * added
+                seen -= brightness[y, x] / ti.max(channel_mean(color), TINY) * added
             for k in ti.static(range(3)):
                 out[y, x, k] = seen[k]
 

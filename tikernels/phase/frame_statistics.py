@@ -151,7 +151,7 @@ def _noise(
 ) -> tuple[float, float]:
     """Return read noise and gain, given the channels (columns, H, 3), their fourth differences, and a grey level."""
     # Devices round differently; which samples are alike must not depend on that.
-    light = np.rint(light * np.float32(2**16)) * np.float32(2**-16)
+    light = np.round(light, 5)
     # Grouped by the pixel above, whose own noise is another one.
     light, changes = light[:, :-1], changes[:, 1:]
     telling = (light > _LIT * bright) & (light < CLIPPED)
@@ -195,13 +195,13 @@ def _period(signal: npt.NDArray[np.complex64]) -> float | None:
     power = (np.abs(np.fft.fft(signal, axis=1)) ** 2).sum(axis=0)
     frequencies = np.arange(1, (height + 1) // 2)
     turning = power[frequencies] - power[-frequencies]
-    # Between one cycle and a half in view and the shortest period that three colours resolve.
-    usable = (frequencies >= 1.5) & (frequencies * MIN_PERIOD_PX <= height)
+    # Between two cycles in view and the shortest period that three colours resolve.
+    usable = (frequencies > 1) & (frequencies * MIN_PERIOD_PX <= height)
     if not usable.any() or power.sum() <= 0:
         return None
-    smooth = np.abs(np.convolve(turning, [0.25, 0.5, 0.25], "same")) * usable
+    smooth = np.abs(np.convolve(turning, [1, 2, 1], "same")) * usable
     peak = int(frequencies[np.argmax(smooth)])
-    lobe = (frequencies > 0.7 * peak) & (frequencies < 1.4 * peak) & usable
+    lobe = (np.abs(np.log2(frequencies / peak)) < 0.5) & usable
     weights = np.clip(turning[lobe] * np.sign(turning[lobe].sum()), 0, None)
     if weights.sum() < _MIN_SHARE * power.sum():
         return None

@@ -47,8 +47,6 @@ _CYCLES, _AROUND = 2, 1.0
 _PRIOR = 0.03
 # By how much further a step goes than the samples say.
 _STEP = 2.0
-# In focus, x hardly differs from tile to tile, RMS.
-_IN_FOCUS = 0.02
 
 
 class _Sum(IntEnum):
@@ -202,7 +200,7 @@ class FringeSharpness:
         values *= max(0.0, 1 - (doubt / max(spread(values), TINY)) ** 2)
         values -= np.float32(np.log((counts * np.exp(3 * values)).sum() / counts.sum()) / 3)
         self.values = constant(values)
-        return spread(step) > max(_IN_FOCUS, doubt)
+        return spread(step) > doubt
 
     def _tiled(self, sums: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         """Return x of every tile, given the sums of the blocks."""

@@ -51,7 +51,7 @@ from tikernels.phase.channel_template import cycles_and_slopes, load_harmonics, 
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.equalization import equalized_lanes
 from tikernels.phase.frame_statistics import FrameLevels
-from tikernels.phase.phase_vector import SIGMAS, TINY, arctangent_lanes, color_at, matrix_of
+from tikernels.phase.phase_vector import SIGMAS, TINY, arctangent_lanes, channel_mean, color_at, matrix_of
 from tikernels.phase.surfaces import matrix_lanes, shows_surface, surface_at, through
 from tikernels.phase.wrapped_phase import NO_PHASE
 from tikernels.raw.linearization import LEVEL_TYPES
@@ -255,7 +255,7 @@ def _fit_phase_kernel(mixed: bool, spacing_px: int, wide: bool) -> Any:
                 mix, unmix = matrix_lanes(mixing, surface, lanes), matrix_lanes(unmixing, surface, lanes)
                 vector = fringe_vector(through(unmix, bare, mixed), color, ambient, weights)
                 modulation = ti.sqrt(vector[0] * vector[0] + vector[1] * vector[1])
-                modulation *= (color[0] + color[1] + color[2]) / 3.0  # of channels as they are
+                modulation *= channel_mean(color)  # of channels as they are
                 begin = equalized_lanes(arctangent_lanes(vector[1], vector[0]), correction)
                 cycle, slope = cycles_and_slopes(harmonics, begin, sharper)
                 mean, rest = through(mix, color, mixed), through(mix, ambient, mixed)
@@ -272,7 +272,7 @@ def _fit_phase_kernel(mixed: bool, spacing_px: int, wide: bool) -> Any:
                 fitted = begin + ti.math.clamp(step, -_MAX_STEP, _MAX_STEP)
                 fitted = ti.select(modulation > min_modulation, fitted, NO_PHASE)
                 fitted = ti.select(precise > min_precision, fitted, NO_PHASE)
-                result = [fitted, modulation, precise, left, brightness * (mean[0] + mean[1] + mean[2]) / 3.0]
+                result = [fitted, modulation, precise, left, brightness * channel_mean(mean)]
                 for c in ti.static(range(5)):
                     found[c] = ti.select(own == ti.cast(surface, ti.f32), result[c], found[c])
             for k in range(inside):

@@ -52,7 +52,7 @@ def arctangent(y: f32, x: f32) -> f32:
     """Angle of (x, y) in [-pi, pi]; pi/4 for (0, 0)."""
     # In the upper half plane the angle is pi/4 (right) or 3 pi/4 (left) less the arctangent of a ratio within [-1, 1].
     height = ti.abs(y)
-    ratio = (x - with_sign_of(height, x)) / ti.max(ti.abs(x) + height, 1e-30)
+    ratio = (x - with_sign_of(height, x)) / ti.max(ti.abs(x) + height, TINY)
     angle, square = 0.0, ratio * ratio
     for n in ti.static(range(len(_ATAN))):
         angle = angle * square + ti.static(_ATAN[-1 - n])
@@ -76,7 +76,7 @@ def wrap_lanes(angle: Static):
 def arctangent_lanes(y: Static, x: Static):
     """Return lanes of `arctangent`."""
     height = absolute_lanes(y)
-    ratio = (x - ti.select(x < 0.0, 0.0 - height, height)) / ti.max(absolute_lanes(x) + height, 1e-30)
+    ratio = (x - ti.select(x < 0.0, 0.0 - height, height)) / ti.max(absolute_lanes(x) + height, TINY)
     square = ratio * ratio
     angle = 0.0 * square
     for n in ti.static(range(len(_ATAN))):
@@ -106,10 +106,16 @@ def wrap(angle: f32) -> f32:
 
 
 @ti.func
+def channel_mean(channels: Static):
+    """Return the mean of three channels, numbers or lanes."""
+    return (channels[0] + channels[1] + channels[2]) / 3.0
+
+
+@ti.func
 def phase_vector(light: vec3) -> vec3:
     """Return b cos(phi), b sin(phi) and the background a of R, G, B = a + b cos(phi + (-1, 0, 1) 2 pi/3)."""
-    r, g, b = light.x, light.y, light.z
-    return vec3((2.0 * g - r - b) / 3.0, (r - b) / ti.sqrt(3.0), (r + g + b) / 3.0)
+    background = channel_mean(light)
+    return vec3(light.y - background, (light.x - light.z) / ti.sqrt(3.0), background)
 
 
 @ti.func

@@ -17,9 +17,8 @@ from tikernels.phase.channel_template import known_template
 from tikernels.phase.equalization import BINS, MeasuredCorrection
 from tikernels.phase.phase_vector import channel_delays, channel_waves
 
-_TURNS = 2 * np.pi * np.array([[-1], [0], [1]])
-# Points of a cycle that light is computed for, and harmonics of it that are not negligible.
-_POINTS, _HARMONICS = 4096, 64
+# Points of a cycle that light is computed for.
+_POINTS = 4096
 # Blurs that are tried, as -ln q; at the last one the third harmonic of gamma 2 is a fifth of its own.
 _BLURS = np.linspace(0.0, 0.6, 31)
 # How far a harmonic of the correction may be from what response and blur make it, rad.
@@ -31,7 +30,7 @@ _VARIANCE = (0.5 * BINS * _WIDTH) ** 2
 def light_spectrum(
     response: npt.NDArray[np.float64], lag: npt.NDArray[np.float64] | None = None, contrast: float = 1.0
 ) -> npt.NDArray[np.complex128]:
-    """Return the harmonics of what the projector sends through a response, (3, 65) complex128, from the zeroth on.
+    """Return the harmonics of what the projector sends through a response, (3, 2049) complex128, from the zeroth on.
 
     Parameters
     ----------
@@ -44,8 +43,8 @@ def light_spectrum(
     """
     codes = (1 + contrast * np.cos(np.linspace(0, 2 * np.pi, _POINTS, endpoint=False))) / (1 + contrast)
     light = np.stack([np.interp(codes, np.linspace(0, 1, len(row)), row) for row in response])
-    n = np.arange(_HARMONICS + 1)
-    return np.asarray(np.fft.rfft(light, axis=1)[:, n].real / _POINTS * np.exp(1j * n * channel_delays(lag)[:, None]))
+    n = np.arange(_POINTS // 2 + 1)
+    return np.asarray(np.fft.rfft(light, axis=1).real / _POINTS * np.exp(1j * n * channel_delays(lag)[:, None]))
 
 
 def blurred(spectrum: npt.NDArray[np.complex128], blur: float) -> npt.NDArray[np.complex128]:
@@ -91,8 +90,7 @@ def response_table(
     """
     phase, bare = response_map(spectrum, lag)
     edges = np.linspace(-np.pi, np.pi, bins + 1)
-    around = np.interp(edges, (bare[:-1] + _TURNS).ravel(), (phase[:-1] + _TURNS).ravel())
-    return np.asarray(around - edges, np.float32)
+    return np.interp(edges, bare[:-1], (phase - bare)[:-1], period=2 * np.pi).astype(np.float32)
 
 
 class ResponsePrior:

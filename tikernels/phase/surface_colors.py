@@ -12,7 +12,8 @@ _Array = npt.NDArray[np.float64]
 _STEP = 0.025
 # The least distance of two colours, in steps.
 _APART = 5
-_MOST = 24
+#: Colours of a frame, at most.
+MOST_COLORS = 24
 
 # Names of colours, by whether red, green and blue have half of the brightest's light or more.
 _WORDS = ((("", "blue"), ("green", "cyan")), (("red", "magenta"), ("yellow", "a pale colour")))
@@ -61,12 +62,12 @@ def common_colors(ratios: _Array, weights: _Array, least: float) -> _Array:
     # Roots, as a small surface is to stand out beside a large one.
     smooth = cv2.GaussianBlur(np.sqrt(counts), (0, 0), 1.0)
     peaks = np.argwhere((smooth == cv2.dilate(smooth, np.ones((_APART, _APART)))) & (smooth > 0))
-    peaks = peaks[np.argsort(-smooth[tuple(peaks.T)], kind="stable")][: 3 * _MOST]
+    peaks = peaks[np.argsort(-smooth[tuple(peaks.T)], kind="stable")][: 3 * MOST_COLORS]
     centers, cells = _color_of(peaks + first), np.argwhere(counts > 0)
     in_cells, of_cells = counts[tuple(cells.T)], _color_of(cells + first)
     while True:
         sizes = np.bincount(nearest_colors(of_cells, centers), weights=in_cells, minlength=len(centers))
-        if len(centers) == 1 or (sizes.min() >= least and len(centers) <= _MOST):
+        if len(centers) == 1 or (sizes.min() >= least and len(centers) <= MOST_COLORS):
             break
         centers = np.delete(centers, sizes.argmin(), axis=0)
     nearest, shares = nearest_colors(ratios, centers), weights + TINY

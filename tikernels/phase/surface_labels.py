@@ -15,7 +15,9 @@ from tikernels import runtime
 from tikernels._taichi import F32Array1, F32Array3, I32Array2, U8Array2, f32, i32, ti, u1
 from tikernels.arrays import F32, I32, U8
 from tikernels.launching import kernel
+from tikernels.phase.balance_window import SIGMA_ACROSS
 from tikernels.phase.frame_statistics import FrameLevels
+from tikernels.phase.phase_vector import SIGMAS, TINY
 from tikernels.phase.surface_misfits import (
     AT_ONCE,
     CELL_ROWS,
@@ -43,8 +45,8 @@ cell_lanes = ti.types.matrix(CELL_ROWS, AT_ONCE, ti.f32)
 _NEAR_PX, _ALONG_PX = 1.6, 2.0
 _AROUND_CYCLES, _AROUND = 0.4, 0.5
 _ALONE = np.ones(1)
-# A whole neighbourhood, in cycles; a place that fits no surface counts no more than this against one there.
-_NEIGHBOURHOOD_CYCLES, _MOST_AROUND = 0.85, 4.0
+# A place that fits no surface counts no more than this against its neighbourhood.
+_MOST_AROUND = 4.0
 # So far from an edge between two places pixels are asked, px.
 _EDGE_PX = 4
 # By how much better than any other a surface must explain its places, in variances.
@@ -133,9 +135,9 @@ def relabel(
 def _averaged(lattice: Lattice, misfits: _Misfits, said: _Mask) -> tuple[_Misfits, _Misfits]:
     """Average every surface's misfits over a few pixels and a part of a cycle, and over the latter alone."""
     sigma, weight = _AROUND_CYCLES * lattice.period_px, said.astype(np.float32)
-    near = cv2.getGaussianKernel(2 * int(3 * _NEAR_PX / lattice.rows) + 1, _NEAR_PX / lattice.rows)
-    near_share = np.maximum(cv2.sepFilter2D(weight, -1, _ALONE, near), 1e-6)
-    wide_share = np.maximum(lattice.blurred(weight, sigma), 1e-6)
+    near = cv2.getGaussianKernel(2 * int(SIGMAS * _NEAR_PX / lattice.rows) + 1, _NEAR_PX / lattice.rows)
+    near_share = np.maximum(cv2.sepFilter2D(weight, -1, _ALONE, near), TINY)
+    wide_share = np.maximum(lattice.blurred(weight, sigma), TINY)
     averages, wide = np.empty_like(misfits), np.empty_like(misfits)
     for surface, misfit in enumerate(misfits):
         counted = np.where(said, misfit, np.float32(0))
@@ -147,7 +149,7 @@ def _averaged(lattice: Lattice, misfits: _Misfits, said: _Mask) -> tuple[_Misfit
 
 def _unusual_neighbourhoods(lattice: Lattice, misfit: _Misfits, said: _Mask) -> _Mask:
     """Return where the misfit of places to their own surfaces is larger than elsewhere, cycle by cycle."""
-    sigma = _NEIGHBOURHOOD_CYCLES * lattice.period_px
+    sigma = SIGMA_ACROSS * lattice.period_px
     share = lattice.blurred(said, sigma)
     mean = lattice.blurred(np.where(said, np.minimum(misfit, _MOST_AROUND), 0), sigma) / np.maximum(share, 0.1)
     whole = mean[share > 0.5]
@@ -246,7 +248,7 @@ def near_misfits(
     first, reach = i * CELL_ROWS, near.shape[0] - 1
     total, weight = (
         [place_lanes(0.0) for _ in ti.static(range(CELL_ROWS))],
-        [place_lanes(1e-6) for _ in ti.static(range(CELL_ROWS))],
+        [place_lanes(TINY) for _ in ti.static(range(CELL_ROWS))],
     )
     for v in range(ti.max(first - reach, 0), ti.min(first + CELL_ROWS + reach, misfits.shape[1])):
         left, part = row_misfits(misfits, cells, surface, v, strip), place_lanes(0.0)
@@ -280,7 +282,7 @@ def choose_surfaces_kernel(
     for t in range(cells.shape[0] * strips):
         i, strip, first = t // strips, t % strips, t % strips * AT_ONCE
         if cells[i, strip] != 0:
-            best = [place_lanes(1e9) for _ in ti.static(range(CELL_ROWS))]
+            best = [place_lanes(-SAYS_NOTHING) for _ in ti.static(range(CELL_ROWS))]
             which = [place_lanes(0.0) for _ in ti.static(range(CELL_ROWS))]
             for surface in range(misfits.shape[0]):
                 if (cells[i, strip] >> surface) & 1 == 1:
@@ -334,7 +336,6 @@ def choose_surfaces(
     even = float(np.hypot(code_doubt, UNEVEN))
     fill_misfits(light, contrast, cells, neutral, levels, 1, even, misfits)
     near, along = (
-        np.exp(-0.5 * (np.arange(reach + 1) / sigma) ** 2).astype(np.float32)
-        for reach, sigma in ((3, _NEAR_PX), (_BESIDE, _ALONG_PX))
+        np.exp(-0.5 * (np.arange(_BESIDE + 1) / sigma) ** 2).astype(np.float32) for sigma in (_NEAR_PX, _ALONG_PX)
     )
     choose_surfaces_kernel(misfits, around, cells, near, along, lattice.rows, lattice.columns, out)

@@ -27,17 +27,19 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels.phase.channel_template import HARMONICS
+from tikernels.phase.frame_statistics import MEDIAN_SIZE
+from tikernels.phase.phase_vector import SIGMAS, TINY
 from tikernels.phase.surface_samples import ComparedSamples, SurfaceSamples, compare_samples
 
 _Array = npt.NDArray[np.float64]
 _Floats = npt.NDArray[np.floating]
 _Complexes = npt.NDArray[np.complex128]
 
-#: Weights L, (3, 3, 3), of surfaces whose colour acts after the crosstalk, and before it.
-BROAD = np.broadcast_to(np.eye(3)[:, None], (3, 3, 3))
-NARROW = np.broadcast_to(np.eye(3), (3, 3, 3))
+#: Weights L, (3, 3, 3), of surfaces whose colour acts before the crosstalk, and after it.
+NARROW = np.stack([np.eye(3)] * 3)
+BROAD = NARROW.swapaxes(0, 1)
 #: Between the two, where wavelengths are not known: what common filters and primaries come closest to.
-BETWEEN = 0.15 * BROAD + 0.85 * NARROW
+BETWEEN = NARROW + 0.15 * (BROAD - NARROW)
 
 
 def band_weights(wavelengths_nm: npt.ArrayLike) -> _Array:
@@ -67,8 +69,6 @@ _BLUR = 0.05
 _DIMMEST = 0.05
 # A surface tells z to this fraction of its light, and the brightness' harmonics to that one.
 _MISFIT, _BRIGHTNESS = 0.002, 0.006
-# Residuals count in full up to this many of their median sizes.
-_HUBER = 2.5
 # Least that an entry changes to, and most, as fractions.
 _LEAST, _MOST = -0.7, 1.5
 # The brightness tells where it is not further than this from what is usual, as a logarithm, and on so many places.
@@ -94,11 +94,11 @@ def predict_matrices(colors: npt.ArrayLike, matrix: npt.ArrayLike, weights: npt.
     """
     seen, white, share = np.asarray(colors, np.float64), np.asarray(matrix, np.float64), np.asarray(weights)
     white = np.maximum(white, 1e-6 * white.sum(axis=1, keepdims=True))
-    log_rho = np.log(np.maximum(seen, 1e-9) / white.sum(axis=1))
+    log_rho = np.log(np.maximum(seen, TINY) / white.sum(axis=1))
     for _ in range(_NEWTON):
         entries = white * np.exp(np.einsum("ijk,nk->nij", share, log_rho))
         rows = entries.sum(axis=2)
-        off = np.log(rows / np.maximum(seen, 1e-9))
+        off = np.log(rows / np.maximum(seen, TINY))
         slope = np.einsum("nij,ijk->nik", entries, share) / rows[..., None]
         gram = np.einsum("nik,nil->nkl", slope, slope) + _TOGETHER * np.eye(3)
         right = np.einsum("nik,ni->nk", slope, off) + _TOGETHER * (log_rho - log_rho.mean(axis=1, keepdims=True))
@@ -107,7 +107,12 @@ def predict_matrices(colors: npt.ArrayLike, matrix: npt.ArrayLike, weights: npt.
         if np.abs(step).max() < _NEWTON_ENOUGH:
             break
     entries = white * np.exp(np.einsum("ijk,nk->nij", share, log_rho))
-    return np.asarray(3 * entries / entries.sum(axis=(1, 2), keepdims=True))
+    return _scaled(entries)
+
+
+def _scaled(matrices: _Array) -> _Array:
+    """Return matrices, (n, 3, 3), of which the sum of each is 3."""
+    return np.asarray(3 * matrices / matrices.sum(axis=(1, 2), keepdims=True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +128,7 @@ class PredictedMatrices:
     def of(cls, colors: npt.ArrayLike, matrix: npt.ArrayLike, weights: npt.ArrayLike) -> "PredictedMatrices":
         """Predict the matrices of surfaces of these colours; the parameters are those of `predict_matrices`."""
         matrices = predict_matrices(colors, matrix, weights)
-        log_rho = np.log(np.diagonal(matrices, axis1=1, axis2=2) / np.maximum(np.diag(np.asarray(matrix)), 1e-9))
+        log_rho = np.log(np.diagonal(matrices, axis1=1, axis2=2) / np.maximum(np.diag(np.asarray(matrix)), TINY))
         return cls(matrices, np.ptp(log_rho, axis=1))
 
 
@@ -240,7 +245,7 @@ def fit_matrices(
         own[:known, 9:] = before.ambient - expected_ambient[:known]
     if not fit_light:
         usual = shared
-    prior_shared = _prior_of_light(light, doubt) if fit_light else 1e12 * np.eye(harmonics)
+    prior_shared = _prior_of_light(light, doubt) if fit_light else np.eye(harmonics) / TINY
 
     def unpacked() -> tuple[_Array, _Array, _Complexes]:
         """Return the matrices, the ambient light and the projector's, given what is fitted of them."""
@@ -263,9 +268,8 @@ def fit_matrices(
         slope[:, :9] *= predicted.reshape(count, 9)
         constant = np.sqrt(arrow.variance(slope))
     mismatch = _mismatch(matrices, predicted, light[:, 0])
-    matrices = 3 * matrices / matrices.sum(axis=(1, 2), keepdims=True)
     return FittedMatrices(
-        matrices, besides, shared, fitted_light, found.misfit, constant, mismatch, cost, np.ones(count)
+        _scaled(matrices), besides, shared, fitted_light, found.misfit, constant, mismatch, cost, np.ones(count)
     )
 
 
@@ -310,7 +314,7 @@ def _constant_slope(
     phases = np.linspace(-np.pi, np.pi, _PHASES, endpoint=False)
     (p, change), turns = waves(light, phases), _turns(light.shape[1], phases)
     brightness = (_middle(samples.light.sum(axis=1))[:, 0] - ambient.sum(axis=1)) / matrices.sum(axis=(1, 2))
-    brightness = np.maximum(brightness, 1e-3 * samples.light.mean(axis=(1, 2)))[:, None, None]
+    brightness = np.maximum(brightness, _DIMMEST * samples.light.mean(axis=(1, 2)))[:, None, None]
     weight = 1 / np.sqrt(samples.variance.mean(axis=2, keepdims=True))
     m, d = matrices @ p * weight, matrices @ change * weight
     across = d - _dot(d, m) / _dot(m, m) * m
@@ -330,8 +334,7 @@ def _columns(
     through, harmonics = matrices.swapaxes(1, 2).astype(p.dtype) @ bright, known_light.shape[1]
     cosines, sines = known_light.real.T.astype(p.dtype) @ through, known_light.imag.T.astype(p.dtype) @ through
     wave = cosines * turns[..., :harmonics, :] - sines * turns[..., harmonics:, :]
-    shape = (len(matrices), 9, p.shape[-1])
-    return np.concatenate([entries.reshape(shape), direction, wave], axis=1)
+    return np.concatenate([entries.reshape(len(matrices), -1, p.shape[-1]), direction, wave], axis=1)
 
 
 def _prior_of_surfaces(
@@ -349,23 +352,18 @@ def _prior_of_surfaces(
     causes[:, :9, :9] = np.eye(9)
     causes[:, :9, 9:12] = rows
     # Less contrast looks like more crosstalk: the three primaries together have next to none.
-    even = predicted.sum(axis=1, keepdims=True) / (3 * np.maximum(predicted, 1e-9))
+    even = predicted.mean(axis=1, keepdims=True) / np.maximum(predicted, TINY)
     causes[:, :9, 12:15] = (even - 1).reshape(count, 9, 1) * rows
     causes[:, :9, 15:], causes[:, 9:, 15:] = -rows / seen[:, None], np.eye(3)
     expected = np.zeros((count, _COLUMNS))
-    expected[:, :9] = np.repeat((ambient - expected_ambient) / seen, 3, axis=1)
-    leaks = leak * predicted.sum(axis=1, keepdims=True) / np.maximum(predicted, 1e-9)
-    sigma = np.concatenate(
-        [
-            np.hypot(_SPREAD * prediction.spread[:, None, None], leaks).reshape(count, 9),
-            np.full((count, 3), _ROW),
-            np.full((count, 3), samples.contrast_doubt),
-            _AMBIENT_FRACTION * expected_ambient + _AMBIENT_SHARE * level.mean(axis=1, keepdims=True),
-        ],
-        axis=1,
-    )
+    expected[:, :9] = (ambient - expected_ambient) / seen @ rows.T
+    leaks = leak * predicted.sum(axis=1, keepdims=True) / np.maximum(predicted, TINY)
+    sigma = np.zeros((count, 18))
+    sigma[:, :9] = np.hypot(_SPREAD * prediction.spread[:, None, None], leaks).reshape(count, 9)
+    sigma[:, 9:12], sigma[:, 12:15] = _ROW, samples.contrast_doubt
+    sigma[:, 15:] = _AMBIENT_FRACTION * expected_ambient + _AMBIENT_SHARE * level.mean(axis=1, keepdims=True)
     scaled = causes * sigma[:, None]
-    return expected, np.linalg.inv(scaled @ scaled.swapaxes(1, 2))
+    return expected, np.asarray(np.linalg.inv(scaled @ scaled.swapaxes(1, 2)))
 
 
 def _prior_of_light(light: _Complexes, doubt: LightDoubt) -> _Array:
@@ -400,7 +398,8 @@ def _equations(
         for direction in (found.across, found.along)
     )
     size = np.abs(z)
-    usual = _HUBER * 1.48 * _middle(size) + np.float32(1e-12)
+    # Residuals count in full up to two standard deviations.
+    usual = 2 / MEDIAN_SIZE * _middle(size) + np.float32(TINY)
     trust = usual / np.maximum(size, usual) / variance
     total, scatter = trust.sum(axis=2), (trust * z * z).sum(axis=2)
     left = (scatter - (trust * variance).sum(axis=2)) / total
@@ -440,7 +439,7 @@ def _waves_of_brightness(
     # The turns' means are zero: columns and rest need not lose theirs.
     both = np.linalg.solve(gram, turns @ np.concatenate([columns, rest], axis=1).swapaxes(1, 2)).astype(np.float64)
     count = samples.share * count[:, 0]
-    chance = 3 * np.maximum(np.sqrt((rest**2 * share).sum(axis=(1, 2))), 0.01) * np.sqrt(2 / np.maximum(count, 1))
+    chance = SIGMAS * np.maximum(np.sqrt((rest**2 * share).sum(axis=(1, 2))), 0.01) * np.sqrt(2 / np.maximum(count, 1))
     sure = np.where(count < _LEAST_BRIGHTNESS, 0, 1 / (_BRIGHTNESS**2 + chance**2))
     return both[..., :-1], both[..., -1], sure
 

@@ -23,7 +23,7 @@ from tikernels.launching import kernel
 from tikernels.phase.color_balance import Gains, gain_at
 from tikernels.phase.crosstalk import Crosstalk, weighed_vector
 from tikernels.phase.frame_statistics import FrameLevels
-from tikernels.phase.phase_vector import absolute_lanes, color_at, matrix_of, phase_weights
+from tikernels.phase.phase_vector import SIGMAS, TINY, absolute_lanes, channel_mean, color_at, matrix_of, phase_weights
 from tikernels.phase.surface_matrix import waves
 from tikernels.phase.surfaces import matrix_lanes, through
 from tikernels.raw.linearization import LEVEL_TYPES
@@ -48,14 +48,13 @@ UNEVEN = 0.01
 _CORNERS = 0.02
 # Of the logarithm of the contrast lost to blur, as a fraction of it, since lenses differ.
 _LOST_DOUBT = 0.6
-# A model is no better than this fraction of a pixel's light, and of the ambient light.
-_MODEL_ERROR, _AMBIENT_ERROR = 0.009, 0.04
+#: A model is no better than this fraction of a pixel's light, and of the ambient light.
+MODEL_ERROR, _AMBIENT_ERROR = 0.01, 0.04
 # Phases that the light's contrast is computed at. And places of its table, around the square |x| + |y| = 1: to find a
 # point's place takes a division, but no arctangent; from one to the next the contrast changes by up to 0.004.
 _PHASES, _PLACES = 256, 1024
-# A code's contrast is told by what is around, a Gaussian in cycles; residuals count in full up to this many standard
-# deviations.
-_CODE_CYCLES, _TRUSTED = 0.3, 3.0
+# A code's contrast is told by what is around, a Gaussian in cycles.
+_CODE_CYCLES = 0.3
 
 
 class Lattice(NamedTuple):
@@ -83,7 +82,7 @@ class Lattice(NamedTuple):
 
     def blurred(self, values: npt.NDArray[np.bool_ | np.float32], sigma_px: float) -> npt.NDArray[np.float32]:
         """Return values of the places, smoothed by a Gaussian."""
-        sigma = (max(0.2, sigma_px / self.columns), max(0.2, sigma_px / self.rows))
+        sigma = (sigma_px / self.columns, sigma_px / self.rows)
         return np.asarray(cv2.GaussianBlur(values.astype(np.float32, copy=False), (0, 0), sigma[0], sigmaY=sigma[1]))
 
     def square(self, side_px: float) -> npt.NDArray[np.uint8]:
@@ -127,8 +126,8 @@ class NeutralLight(NamedTuple):
         cosine, sine, mean = vectors @ sent
         phases = np.linspace(-np.pi, np.pi, _PHASES + 1)
         rho = np.interp(phases, np.arctan2(sine, cosine), np.hypot(cosine, sine) / mean, period=2 * np.pi)
-        slope = (np.roll(rho[:-1], -1) - np.roll(rho[:-1], 1)) * (_PHASES / (4 * np.pi))
-        around = (np.arange(_PLACES) + 0.5) * (4 / _PLACES) - 2
+        slope = (np.roll(rho[:-1], -1) - np.roll(rho[:-1], 1)) / (2 * (phases[1] - phases[0]))
+        around = np.linspace(-2, 2, 2 * _PLACES + 1)[1::2]
         x = 1 - np.abs(around)
         bare = np.copysign(np.arctan2(1 - np.abs(x), x), around)
         table = np.stack([np.interp(bare, phases, values) for values in (rho, np.append(slope, slope[0]))])
@@ -173,7 +172,7 @@ def average_light_kernel(
                         sine += vector.y * last.x - vector.x * last.y
                         total, last, most = total + seen, vector, ti.max(most, seen.max())
                     # A phase that is linear over n pixels has the variance slope^2 (n^2 - 1) / 12.
-                    slope = ti.select(cosine > 0.0, sine / ti.max(cosine, 1e-9), 1.0)
+                    slope = ti.select(cosine > 0.0, sine / ti.max(cosine, TINY), 1.0)
                     lost += reach * (reach + 1) / 6.0 * ti.min(slope * slope, 1.0)
                 a, b = ti.min(y // spacing_px, blur.shape[0] - 1), ti.min(middle // spacing_px, blur.shape[1] - 1)
                 out_contrast[i, j] = blur[a, b] / lost
@@ -236,7 +235,7 @@ def cells_of(size: tuple[int, int]) -> tuple[int, int]:
 @ti.func
 def place_around(x: Static, y: Static):
     """Return lanes of points' places in `NeutralLight.contrast`, from 0 to 1024, by their angles."""
-    turn = 1.0 - x / ti.max(absolute_lanes(x) + absolute_lanes(y), 1e-30)
+    turn = 1.0 - x / ti.max(absolute_lanes(x) + absolute_lanes(y), TINY)
     return (2.0 + ti.select(y < 0.0, 0.0 - turn, turn)) * ti.static(_PLACES / 4)
 
 
@@ -269,7 +268,7 @@ def surface_misfits_kernel(
                 for c in ti.static(range(3)):
                     seen[c][k] = light[y, first + k, c]
                 sharp[k] = contrast[y, first + k]
-            wrong, lost = _MODEL_ERROR / 3.0 * (seen[0] + seen[1] + seen[2]), sharp - 1.0
+            wrong, lost = MODEL_ERROR * channel_mean(seen), sharp - 1.0
             uneven = even * even + _LOST_DOUBT * _LOST_DOUBT * lost * lost
             for surface in range(out.shape[0]):
                 if (bits >> surface) & 1 == 1:
@@ -281,7 +280,7 @@ def surface_misfits_kernel(
                         at = ti.min(ti.max(ti.cast(place[k], ti.i32), 0), _PLACES - 1)  # of a NaN: any
                         ring[k], turn[k] = rho[0, at], rho[1, at]
                     swing = vector[2] * sharp * ring
-                    size = ti.max(ti.sqrt(vector[0] * vector[0] + vector[1] * vector[1]), 1e-9)
+                    size = ti.max(ti.sqrt(vector[0] * vector[0] + vector[1] * vector[1]), TINY)
                     unit = 1.0 / size
                     cosine, sine, turned = vector[0] * unit, vector[1] * unit, vector[2] * sharp * turn * unit
                     direction = [cosine + sine * turned, sine - cosine * turned, 0.0 - sharp * ring]
@@ -292,7 +291,7 @@ def surface_misfits_kernel(
                         doubt = _AMBIENT_ERROR * ambient[surface, c]
                         noise = read_variance + noise_gain * ti.max(seen[c], 0.0) + wrong * wrong + doubt * doubt
                         variance += across * across * noise
-                    by_sigma = 1.0 / ti.sqrt(ti.max(variance, 1e-12))
+                    by_sigma = 1.0 / ti.sqrt(ti.max(variance, TINY))
                     result = ti.select(seen[0] > SAYS_NOTHING, (size - swing) * by_sigma, SAYS_NOTHING)
                     changes = swing * by_sigma
                     for k in range(count):
@@ -360,6 +359,6 @@ def _take_off_code(lattice: Lattice, residuals: _Misfits, by_contrast: _Misfits,
     places = 4 * np.pi * sigma**2 / lattice.pixels  # that the average is made of
     prior = 1 / (doubt**2 * max(places, 1.0))
     for left, change in zip(residuals, by_contrast, strict=True):
-        counted = np.where(said, change / np.maximum(1, np.abs(left) / _TRUSTED), np.float32(0))
+        counted = np.where(said, change / np.maximum(1, np.abs(left) / SIGMAS), np.float32(0))
         slope, square = (lattice.blurred(counted * values, sigma) for values in (left, change))
         left -= np.where(said, slope / (square + prior) * change, np.float32(0))

@@ -16,7 +16,7 @@ from tikernels._taichi import F32Array2, F32Array3, Static, f32, ti, vec3
 from tikernels.lanes import LANES, float_lanes
 from tikernels.launching import kernel
 from tikernels.phase.channel_template import HARMONICS, load_harmonics, sharpened_cycle_and_slope
-from tikernels.phase.phase_vector import cosine_and_sine
+from tikernels.phase.phase_vector import TINY, cosine_and_sine
 from tikernels.phase.surfaces import surface_ambient, surface_matrix
 from tikernels.strips import SPREAD, color_of, lanes_of_colors, strip_at, strip_count
 
@@ -112,7 +112,7 @@ def compare_samples_kernel(
             weight, channels = color_of(weights, k), color_of(seen, k)
             model, change = weight * (matrix @ cycle), weight * (matrix @ slope)
             across = change - change.dot(model) / model.dot(model) * model
-            step = channels.dot(across) * model.dot(model) / ti.max(channels.dot(model), 1e-9) / across.dot(across)
+            step = channels.dot(across) * model.dot(model) / ti.max(channels.dot(model), TINY) / across.dot(across)
             angle[k] += ti.math.clamp(step, -_PHASE_STEP, _PHASE_STEP)
         for k in range(LANES):
             cycle, slope = blurred_cycle(harmonics, angle[k], sharp[k])
@@ -122,7 +122,7 @@ def compare_samples_kernel(
             normal /= ti.sqrt(normal.dot(normal))
             along = change.dot(change) * model - model.dot(change) * change
             along /= along.dot(model)
-            brightness = ti.max(channels.dot(along), 1e-9)
+            brightness = ti.max(channels.dot(along), TINY)
             along /= brightness
             swing = contrast_doubt * brightness * normal.dot(weight * (matrix @ (cycle - 1.0)))
             found[_Row.RESIDUAL, k], found[_Row.VARIANCE, k] = channels.dot(normal), 1.0 + swing * swing

@@ -39,7 +39,7 @@ from tikernels.lanes import (
     width_of,
 )
 from tikernels.launching import kernel
-from tikernels.phase.balance_window import SIGMA_ACROSS
+from tikernels.phase.balance_window import SIGMA_ACROSS, block_rows
 from tikernels.phase.frame_statistics import MEDIAN_SIZE
 from tikernels.phase.model_variance import model_variance
 from tikernels.phase.phase_vector import TINY
@@ -54,8 +54,6 @@ OWN_ERROR = 0.03
 _EDGE_ERROR = 0.025
 # The standard deviation of a phase of which nothing is known but the cycle, rad: no more can be unsure.
 _UNKNOWN = np.pi / np.sqrt(3)
-# About 30,000 pixels tell how far rows scatter, to less than a per cent.
-_SCATTER_SAMPLES = 30_000
 
 
 @ti.func
@@ -219,9 +217,10 @@ def compare_rows(
     model = checks.read_array("model", model, (height, width), np.float32)
     smoothed = checks.read_array("smoothed", smoothed, (height, width), np.float32)
     mask = checks.read_array("mask", mask, (height, width), np.uint8)
-    if height <= 3 * step:
-        raise ShapeError(f"phase has {height} rows: four rows {step} px apart need {3 * step + 1}")
-    out = checks.out_buffer("out", out, (height - 3 * step, -(-width // every)), np.float32)
+    rows = height - (len(THIRD_DIFFERENCE) - 1) * step
+    if rows <= 0:
+        raise ShapeError(f"phase has {height} rows: four rows {step} px apart need {height - rows + 1}")
+    out = checks.out_buffer("out", out, (rows, -(-width // every)), np.float32)
     compare_rows_kernel(phase, precision, model, smoothed, mask, independent, step, every, out)
     return out
 
@@ -284,9 +283,8 @@ def _scatter(
     unwrapped: F32, precision: F32, model: F32, smoothed: F32, mask: U8, pairs: int, period_px: float
 ) -> float:
     """Return how far rows a third of a cycle apart differ, in units of what is expected; 1 where none tells."""
-    height, width = int(mask.shape[0]), int(mask.shape[1])
-    step, every = max(2, round(period_px / 3)), max(1, height * width // _SCATTER_SAMPLES)
-    if height <= 3 * step:
+    step, every = max(2, round(period_px / 3)), 2 * block_rows(period_px)
+    if int(mask.shape[0]) <= (len(THIRD_DIFFERENCE) - 1) * step:
         return 1.0
     squares = sum(weight**2 for weight in THIRD_DIFFERENCE)
     independent = left_of_differences(pairs, step) / left_of_variance(pairs) / squares

@@ -36,7 +36,7 @@ from tikernels.phase.brightness_ripple import within_cycle
 from tikernels.phase.channel_template import load_harmonics, sharpened_cycle_and_slope
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.phase_fit import lane_of, nodes_between
-from tikernels.phase.phase_vector import TINY, color_at
+from tikernels.phase.phase_vector import TINY, channel_mean, color_at
 from tikernels.phase.surfaces import surface_ambient, surface_at, surface_matrix
 from tikernels.phase.white_level import white_level
 from tikernels.phase.wide_blur import wide_blur
@@ -207,7 +207,7 @@ def _light_by_white_kernel(mixed: bool, spacing_px: int) -> Any:
                 by_others = ti.select(known[k] > TINY, ti.sqrt(around[k] / ti.max(known[k], TINY)), product / square)
                 brightness = ti.max(ti.select(seen.max() < clipped, brightness, by_others), 0.0)
                 # What of white is no fringe, in units of s: the mean of B over A.
-                besides_fringe = (rest / ti.max(at_white, TINY)).sum() * level.sum() / 9.0
+                besides_fringe = channel_mean(rest / ti.max(at_white, TINY)) * channel_mean(level)
                 kappa = brightness * (1.0 + more) / ti.max(brightness + besides_fringe, TINY)
                 deviation[k] = ti.log(ti.max(ti.min(kappa, _HIGHEST), _LOWEST))
                 shown = counts[k] * (brightness * (at_white + more * white_swing) + rest)
