@@ -59,7 +59,7 @@ class Photographer:
     def __init__(self, rig: DrawnRig, rays: int = RAYS) -> None:
         self.rig = rig
         self.geometry = rig.calibration.geometry()
-        self._rays = rays_of(self.geometry)
+        self.rays = rays_of(self.geometry)
         self._offsets = pixel_rays(rig.camera_blur_px, rays)
         self._projector = projector_numbers(self.geometry)
         self.calibration = self._calibrated()
@@ -114,17 +114,27 @@ class Photographer:
         return film
 
     def seen(
-        self, scene: Scene, packed: Bodies, light: F32, rows: slice = slice(None), apart: bool = False
+        self,
+        scene: Scene,
+        packed: Bodies,
+        light: F32,
+        rows: slice = slice(None),
+        apart: bool = False,
+        share: slice = slice(None),
     ) -> F32:
-        """Return the linear light (K, H, W, 3) of rows without bounces; apart: (K * 3, H, W, 3), each primary's."""
-        rig, rays = self.rig, rows_of_rays(self._rays, rows)
+        """Return the linear light (K, H, W, 3) of rows without bounces; apart: (K * 3, H, W, 3), each primary's.
+
+        Of the pixel's pairs of rays a share.
+        """
+        rig, rays = self.rig, rows_of_rays(self.rays, rows)
         films = light.shape[3] if apart else light.shape[3] // 3
         film = np.zeros((films, rays.shape[0] - 2, rays.shape[1] - 2, 3), np.float32)
         spread = np.zeros((len(scene.paints), 3))
         for paint, mm in scene.scatter_mm.items():
             spread[paint] = mm
+        offsets = np.ascontiguousarray(self._offsets.reshape(2, -1, 2)[:, share]).reshape(-1, 2)
         photograph(
-            rays, self._offsets, np.array(rig.camera_magnified), packed.kinds, packed.numbers, packed.reliefs,
+            rays, offsets, np.array(rig.camera_magnified), packed.kinds, packed.numbers, packed.reliefs,
             packed.maps, self._projector, np.array(rig.projector_magnified), light,
             np.array([_STEPS, _MARGIN, _LEVEL_PX]),
             np.stack([rig.matrix(paint) for paint in scene.paints]), rig.matrix(1.0),
@@ -138,7 +148,7 @@ class Photographer:
         grid = np.zeros((patterns, -(-height // _SPACING) + 1, -(-width // _SPACING) + 1, 3), np.float32)
         pairs = [self.rig.matrix(one * other) for one in scene.paints for other in scene.paints]
         gather(
-            self._rays, cosine_directions(_DIRECTIONS), packed.kinds, packed.numbers, packed.reliefs, packed.maps,
+            self.rays, cosine_directions(_DIRECTIONS), packed.kinds, packed.numbers, packed.reliefs, packed.maps,
             self._projector, light, np.array([_STEPS, _MARGIN], np.float64),
             np.ascontiguousarray(np.stack(pairs)[..., None]), _SPACING, grid,
         )  # fmt: skip

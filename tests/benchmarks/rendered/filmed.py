@@ -1,9 +1,10 @@
 """Films of things that move before rigs as people have them: scenes at any time, and what a shutter makes of them.
 
-A row r of frame n is exposed from n * frame_s + start_s + r * row_s for exposure_s. The scene is drawn at instants that
-are so close that nothing moves further than a camera pixel from one to the next; between two of them the light of each
+A row r of frame n is exposed from n * frame_s + start_s + r * row_s for exposure_s. The scene is drawn at instants
+so close that nothing moves further than 1 mm from one to the next; between two of them the light of each
 primary is taken to change linearly, and a row's light is the mean over the times in which it is exposed and the primary
-is on. A moving edge is thus a sum of edges a pixel apart rather than a ramp. Everything is a function of time and seed:
+is on. A moving edge is thus a sum of edges that close rather than a ramp. A pixel's rays are spread over the instants.
+Everything is a function of time and seed:
 a frame can be drawn without those before it.
 """
 
@@ -18,14 +19,24 @@ from drawn_figures import calibration_for, deeper
 from drawn_frames import Photographer, sensed
 from drawn_rigs import DrawnRig, draw_rig
 from drawn_scenes import Body, Scene, draw_scene, mm_per_cycle, printed, turned
-from ray_caster import BALL, BOX, F32, F64, NOTHING, RELIEF, true_at_centers
+from ray_caster import BALL, BOX, F32, F64, NOTHING, RELIEF, Truth, rows_of_rays, true_at_centers
 
 Mask = npt.NDArray[np.bool_]
+_TRUTH = {
+    "place": float,
+    "depth_mm": np.float32,
+    "lit": bool,
+    "body": np.uint8,
+    "paint": np.uint8,
+    "mm_per_rad": np.float32,
+}
 
 #: The picture that the projector shows, of `drawn_frames.PATTERNS`.
 PATTERN = "compensated coded"
-# Rays a pixel at one instant; a row averages some instants.
-_RAYS = 8
+# Rays a pixel, of all instants of a frame together; at each two or more.
+_RAYS = 16
+# Nothing moves further from one instant to the next, mm.
+_STEP_MM = 1.0
 # Times within an exposure at which it is looked which primary is on: as often in each of three fields.
 _LOOKS = 96
 # Inside a surface is what is further than this from its edges, besides half the way that the fastest things go.
@@ -77,10 +88,11 @@ class Film:
     """Things that move at the speed of `speed_mm_s` if the film runs as fast as time."""
 
     speed_mm_s: float
-    fastest_mm_s: float  # of all that moves
+    fastest_mm_s: float  # of all that moves then
     scene: Callable[[float], Scene]
     judged: int  # number of the body whose depth is measured
     still: int  # number of a body that stands still
+    speeds_mm_s: tuple[float, ...]  # that are measured
     hides: Callable[[float], bool] = lambda _: False  # whether something is in front of the judged body
 
 
@@ -91,6 +103,7 @@ class Drawn:
     levels: npt.NDArray[np.uint8]  # (H, W), the sensor's mosaic
     place: F32  # (H, W) projector px along the phase
     depth_mm: F32  # (H, W) NaN where there is nothing
+    mm_per_rad: F32  # (H, W) by how much the depth changes with the phase
     body: npt.NDArray[np.uint8]  # (H, W)
     lit: Mask  # (H, W) lit, bright enough and not clipped
     inside: Mask  # (H, W) further from every edge than things move in an exposure
@@ -98,21 +111,37 @@ class Drawn:
 
 # --- rigs ----------------------------------------------------------------------------------------------------------
 
-# All stand alike (seed 2: 870 mm away, 0.74 mm and 1/12.4 cycle a camera pixel, 48 mm of depth a cycle).
+# All stand alike (seed 2: 870 mm away, 48 mm of depth a cycle): the industrial camera has 640x480 px, 12.4 a cycle, the
+# webcams 1280x720, 24.8 a cycle, as MJPEG leaves of the colours of twelve less than anybody would use.
 _STANDS = 2
+_WEBCAM_PX = (1280, 720)
 
 
 def _rig(light: int, **changes: object) -> DrawnRig:
-    """Return the light and filters of a drawn rig where another one stands, with lenses without lateral colour."""
-    stands = draw_rig(_STANDS)
-    none = (1.0, 1.0, 1.0)
+    """Return the light and filters of a drawn rig where another one stands.
+
+    Lenses have no lateral colour, and the camera's gains make the projector's white grey.
+    """
+    stands, lit, none = draw_rig(_STANDS), draw_rig(light), (1.0, 1.0, 1.0)
+    gains = 1 / lit.matrix(1.0).sum(axis=1)
     return replace(
-        draw_rig(light), calibration=stands.calibration, distance_mm=stands.distance_mm, bits=8, camera_magnified=none,
-        projector_magnified=none, projector_blur_px=0.6, camera_blur_px=0.5, ambient=0.02, pedestal=0.01, **changes,
+        lit, filters=gains[:, None] * lit.filters, calibration=stands.calibration, distance_mm=stands.distance_mm,
+        bits=8, camera_magnified=none, projector_magnified=none, projector_blur_px=0.6, camera_blur_px=0.5,
+        ambient=0.02, pedestal=0.01, **changes,
     )  # fmt: skip
 
 
-_WEBCAM = {"delivery": "mjpeg", "full_well": 6000.0, "read_noise": 4.0}
+def _webcam(light: int) -> DrawnRig:
+    """Return a rig with a webcam that sees as wide as the other camera."""
+    rig = _rig(light, delivery="mjpeg", full_well=6000.0, read_noise=4.0)
+    camera, (width, height) = rig.calibration.camera, _WEBCAM_PX
+    scale = width / camera.size_px[0]
+    matrix = np.diag([scale, scale, 1.0]) @ camera.matrix
+    matrix[:2, 2] += 0.5 * (scale - 1) + np.array([0, 0.5 * (height - scale * camera.size_px[1])])
+    wide = camera.model_copy(update={"size_px": _WEBCAM_PX, "matrix": matrix})
+    return replace(rig, calibration=rig.calibration.model_copy(update={"camera": wide}))
+
+
 _LED, _LAMP = 21, 6  # seeds of `drawn_rigs` with such a projector
 _ROLLING = {"frame_s": 1 / 30, "readout_s": 0.02}
 # Clocks of webcams and projectors differ by some hundred millionths.
@@ -127,9 +156,9 @@ def film_rigs(seed: int) -> dict[str, FilmRig]:
         "led": FilmRig(
             _rig(_LED, delivery="bayer", full_well=10000.0, read_noise=3.0), Shutter(frame_s=0.01, exposure_s=0.005)
         ),
-        "three-chip webcam": FilmRig(_rig(_LAMP, **_WEBCAM), Shutter(exposure_s=0.01, **_ROLLING)),
-        "single-chip webcam 180": FilmRig(_rig(_LAMP, **_WEBCAM), Shutter(cycle_s=1 / 60, **free)),
-        "single-chip webcam 360": FilmRig(_rig(_LAMP, **_WEBCAM), Shutter(cycle_s=1 / 120, **free)),
+        "three-chip webcam": FilmRig(_webcam(_LAMP), Shutter(exposure_s=0.01, **_ROLLING)),
+        "single-chip webcam 180": FilmRig(_webcam(_LAMP), Shutter(cycle_s=1 / 60, **free)),
+        "single-chip webcam 360": FilmRig(_webcam(_LAMP), Shutter(cycle_s=1 / 120, **free)),
     }
 
 
@@ -172,10 +201,12 @@ def _talking_head(rig: DrawnRig, seed: int, name: str = "light face") -> Film:
         way = np.array([40 * np.sin(2.5 * t + start[0]), 8 * np.sin(1.9 * t + start[1]), 15 * np.sin(1.3 * t)])
         turn = turned(8 * np.sin(2.2 * t + start[2]), 25 * np.sin(2.0 * t + start[3]), 4 * np.sin(1.1 * t))
         said = 0.5 - 0.5 * np.cos(2 * np.pi * (3 * t + np.sin(2 * np.pi * 0.3 * t) / (2 * np.pi * 0.3)))
-        head = replace(_open_mouth(face, 9 * said, scale, still.names.index("hair")), origin=face.origin + way, turn=turn)
+        head = replace(
+            _open_mouth(face, 9 * said, scale, still.names.index("hair")), origin=face.origin + way, turn=turn
+        )
         return replace(still, bodies=[head, wall])
 
-    return Film(100.0, 190.0, scene, judged=0, still=1)
+    return Film(100.0, 190.0, scene, judged=0, still=1, speeds_mm_s=(100.0,))
 
 
 def _scattering_head(rig: DrawnRig, seed: int) -> Film:
@@ -201,7 +232,7 @@ def _passing_hand(rig: DrawnRig, seed: int) -> Film:
     def hides(t: float) -> bool:
         return abs(_to_and_fro(300 * t - reach, reach) - head.scene(t).bodies[0].origin[0]) < hidden
 
-    return replace(head, speed_mm_s=300.0, fastest_mm_s=300.0, scene=scene, hides=hides)
+    return replace(head, speed_mm_s=300.0, fastest_mm_s=300.0, speeds_mm_s=(300.0,), scene=scene, hides=hides)
 
 
 def _waving_cloth(rig: DrawnRig, seed: int, prints: bool = False) -> Film:
@@ -220,17 +251,17 @@ def _waving_cloth(rig: DrawnRig, seed: int, prints: bool = False) -> Film:
         bodies = [replace(cloth, relief=waves + 12), replace(wall.bodies[0], paint=2)]
         return Scene("cloth", bodies, [*still.paints, wall.paints[0]], [*still.names, "wall"])
 
-    return Film(100.0, 100.0, scene, judged=0, still=1)
+    return Film(100.0, 100.0, scene, judged=0, still=1, speeds_mm_s=(100.0,))
 
 
 def _rolling_ball(rig: DrawnRig, seed: int) -> Film:
-    """Return a checked ball of 90 mm that rolls to and fro on a sloping board, across and up, at 100 mm/s."""
+    """Return a ball of 90 mm, of two colours, that rolls to and fro on a sloping board, across and up, at 100 mm/s."""
     pale, radius = draw_scene("balls", rig, seed), 45.0
     slope = turned(35, 0)
     above, across = slope.T @ np.array([0, 0, -1.0]), slope.T @ np.array([np.cos(0.6), np.sin(0.6), 0])
     foot = np.array([0, 0, rig.distance_mm + 20.0])
     board = Body(BOX, foot - 10 * above, (rig.distance_mm, rig.distance_mm, 10.0), 0, slope)
-    ball = Body(BALL, foot, (radius, radius, 0.0), 1, painted=1 + printed(radius, 18.0, 0.3))
+    ball = Body(BALL, foot, (radius, radius, 0.0), 1, painted=printed(radius, 45.0, 0.3))
 
     def scene(t: float) -> Scene:
         way = _to_and_fro(100 * t, 110.0)
@@ -238,7 +269,7 @@ def _rolling_ball(rig: DrawnRig, seed: int) -> Film:
         bodies = [replace(ball, origin=foot + radius * above + way * across, turn=rolled.T), board]
         return Scene("ball", bodies, pale.paints, pale.names)
 
-    return Film(100.0, 100.0, scene, judged=0, still=1)
+    return Film(100.0, 100.0, scene, judged=0, still=1, speeds_mm_s=(20.0, 100.0, 500.0))
 
 
 FILMS: dict[str, Callable[[DrawnRig, int], Film]] = {
@@ -277,87 +308,76 @@ class Filming:
         seen = (self.photographer.seen(scene, scene.packed(), white)[0] for scene in scenes)
         return min(self.photographer.exposure(film) for film in seen)
 
-    def film_time(self, time_s: float) -> float:
-        """Return the time of the film at one of the camera's, s."""
-        return self.pace * time_s
-
     def instants(self, starts: F64) -> F64:
-        """Return when the scene is drawn for a frame, s: as often as nothing moves a pixel further meanwhile."""
+        """Return when the scene is drawn for a frame, s."""
         first, last = starts[0], starts[-1] + self.shutter.exposure_s
         if self.pace == 0:
             return np.array([0.5 * (first + last)])
-        pixels = self.pace * self.film.fastest_mm_s * (last - first) / self.mm_per_px
-        return np.linspace(first, last, 2 + int(pixels))
+        return np.linspace(first, last, 2 + int(self.pace * self.film.fastest_mm_s * (last - first) / _STEP_MM))
 
-    def light(self, number: int) -> F32:
-        """Return the linear light (H, W, 3) of a frame."""
-        width, height = self.photographer.geometry.camera.size_px
-        starts = self.shutter.row_starts(number, height)
-        instants = self.instants(starts)
-        weights = self.shutter.weights(starts, instants)
-        light, apart = np.zeros((height, width, 3), np.float32), self.shutter.cycle_s is not None
-        for time_s, weight in zip(instants, weights, strict=True):
-            used = np.flatnonzero(weight.max(axis=1) > 0)
-            if len(used) == 0:
-                continue
-            rows, scene = slice(used[0], used[-1] + 1), self.film.scene(self.film_time(time_s))
-            seen = self.photographer.seen(scene, scene.packed(), self._arriving, rows, apart)
-            for primary, part in enumerate(seen):  # all primaries at once have the same weight
-                light[rows] += weight[rows, primary, None, None].astype(np.float32) * part
-        return light
+    def exposed(self, number: int) -> tuple[F32, Truth, Mask]:
+        """Return the linear light (H, W, 3) of a frame, its truth, and what is inside a surface.
 
-    def truth(self, number: int) -> tuple[F32, F32, npt.NDArray[np.uint8], Mask, Mask]:
-        """Return place, depth, body, what is lit and what is inside, at the middle of each row's exposure.
-
-        Linear between the instants where both show the same body; elsewhere the nearer one's, and not inside.
+        The truth is linear between two instants that show the same body, and that of the nearer one elsewhere.
         """
-        geometry = self.photographer.geometry
-        width, height = geometry.camera.size_px
-        starts = self.shutter.row_starts(number, height)
+        photographer, shutter = self.photographer, self.shutter
+        width, height = photographer.geometry.camera.size_px
+        starts = shutter.row_starts(number, height)
         instants = self.instants(starts)
-        middle = starts + 0.5 * self.shutter.exposure_s
-        share = np.interp(middle, instants, np.arange(len(instants)))
-        before = np.minimum(share.astype(int), max(len(instants) - 2, 0))
-        found = [np.zeros((2, height, width)) for _ in range(4)]
-        for k, time_s in enumerate(instants):
-            used = np.flatnonzero((before == k) | (before == k - 1))
-            if len(used) == 0:
-                continue
-            rows = slice(used[0], used[-1] + 1)
-            bodies = self.film.scene(self.film_time(time_s)).packed()
-            seen = true_at_centers(geometry, bodies, rows)
-            for field, values in zip(found, (seen.place, seen.depth_mm, seen.body, seen.lit), strict=True):
-                for which in (0, 1):
-                    own = before[rows] == k - which
-                    field[which, rows][own] = values[own]
-        place, depth, body, lit = found if len(instants) > 1 else [np.stack([field[0]] * 2) for field in found]
-        later = (share - before)[:, None]
-        same = (body[0] == body[1]) & (np.abs(depth[0] - depth[1]) < _EDGE_MM)
-        both = np.where(same, (1 - later) * depth[0] + later * depth[1], np.where(later < 0.5, *depth))
-        where = np.where(same, (1 - later) * place[0] + later * place[1], np.where(later < 0.5, *place))
-        which = np.where(later < 0.5, *body).astype(np.uint8)
-        edge = ~same | (lit.min(axis=0) == 0) | (which == NOTHING)
+        weights = shutter.weights(starts, instants)
+        place = np.interp(starts + 0.5 * shutter.exposure_s, instants, np.arange(len(instants)))
+        before = np.minimum(place.astype(int), max(len(instants) - 2, 0))
+        light, pairs = np.zeros((height, width, 3), np.float32), _RAYS // 2
+        sides = [{key: np.zeros((height, width), kind) for key, kind in _TRUTH.items()} for _ in range(2)]
+        for k, (time_s, weight) in enumerate(zip(instants, weights, strict=True)):
+            scene = self.film.scene(self.pace * time_s)
+            packed = scene.packed()
+            if (rows := _span(weight.max(axis=1) > 0)) is not None:
+                share = slice(k % pairs, None, min(len(instants), pairs))
+                seen = photographer.seen(scene, packed, self._arriving, rows, shutter.cycle_s is not None, share)
+                for primary, part in enumerate(seen):  # all primaries at once have the same weight
+                    light[rows] += weight[rows, primary, None, None].astype(np.float32) * part
+            if (rows := _span((before == k) | (before == k - 1))) is not None:
+                truth = true_at_centers(photographer.geometry, packed, rows_of_rays(photographer.rays, rows))
+                for side, own in zip(sides, (before[rows] == k, before[rows] == k - 1), strict=True):
+                    for key, values in side.items():
+                        values[rows][own] = getattr(truth, key)[own]
+        return light, *self._between(*(sides if len(instants) > 1 else (sides[0], sides[0])), place - before)
+
+    def _between(self, one: dict[str, F64], other: dict[str, F64], later: F64) -> tuple[Truth, Mask]:
+        """Return the truth between two instants, and what is inside a surface."""
+        same = (one["body"] == other["body"]) & (np.abs(one["depth_mm"] - other["depth_mm"]) < _EDGE_MM)
+        nearer, later = np.rint(later)[:, None] > 0, later[:, None]
+        found = {key: np.where(nearer, other[key], one[key]) for key in one}
+        for key in ("place", "depth_mm", "mm_per_rad"):
+            found[key] = np.where(same, (1 - later) * one[key] + later * other[key], found[key])
+        truth = Truth(**{key: values.astype(_TRUTH[key]) for key, values in found.items()})
+        edge = ~same | ~one["lit"] | ~other["lit"] | (truth.body == NOTHING)
         for axis in (0, 1):
-            steps = (np.diff(which.astype(int), axis=axis) != 0) | ~(np.abs(np.diff(both, axis=axis)) < _EDGE_MM)
-            for side in (slice(None, -1), slice(1, None)):
-                edge[(side, slice(None)) if axis == 0 else (slice(None), side)] |= steps
-        return (
-            where.astype(np.float32), both.astype(np.float32), which, lit.min(axis=0) > 0, deeper(~edge, self.rim_px)
-        )  # fmt: skip
+            step = np.diff(truth.body.astype(int), axis=axis) != 0
+            step |= ~(np.abs(np.diff(truth.depth_mm, axis=axis)) < _EDGE_MM)
+            edge |= np.pad(step, [(0, 1), (0, 0)][:: 1 - 2 * axis]) | np.pad(step, [(1, 0), (0, 0)][:: 1 - 2 * axis])
+        return truth, deeper(~edge, self.rim_px)
 
     @cached_property
-    def _first(self) -> tuple[F32, tuple[F32, F32, npt.NDArray[np.uint8], Mask, Mask]]:
-        """Light and truth of all frames where nothing moves: exposures are whole colour cycles."""
-        return self.light(0), self.truth(0)
+    def _still(self) -> tuple[F32, Truth, Mask]:
+        """All frames where nothing moves: exposures are whole colour cycles."""
+        return self.exposed(0)
 
     def draw(self, number: int) -> Drawn:
         """Return a frame."""
-        light, truth = self._first if self.pace == 0 else (self.light(number), self.truth(number))
+        light, truth, inside = self.exposed(number) if self.pace else self._still
         levels = sensed(self.photographer.rig, light, self.exposure, 100_000 * self.seed + number)
-        place, depth, body, lit, inside = truth
         signal = self.exposure * light
-        lit = lit & (255 * signal.mean(axis=2) > _LIT_LEVELS) & (signal.max(axis=2) < 1)
-        return Drawn(levels, place, depth, body, lit, inside & lit)
+        lit = truth.lit & (255 * signal.mean(axis=2) > _LIT_LEVELS) & (signal.max(axis=2) < 1)
+        place = truth.place.astype(np.float32)
+        return Drawn(levels, place, truth.depth_mm, truth.mm_per_rad, truth.body, lit, inside & lit)
+
+
+def _span(used: Mask) -> slice | None:
+    """Return from the first to the last row that is used."""
+    rows = np.flatnonzero(used)
+    return slice(rows[0], rows[-1] + 1) if len(rows) else None
 
 
 def photographer_of(rig: DrawnRig) -> Photographer:

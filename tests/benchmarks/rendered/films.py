@@ -3,12 +3,13 @@
     python tests/benchmarks/rendered/films.py [--films ...] [--rigs ...] [--speeds ...] [--frames 1000] [--folder F]
 
 A row is a film before a rig at a speed, mm/s; 0 is the reference: the same scene without motion. The geometry is the
-true one, matrix and response are measured on the rig's own ramps, the pattern is the coded one with its response undone,
-the settings are the default ones, and every frame has the one before as `previous`. Figures:
+true one, matrix and response are measured on the rig's own ramps, the pattern is the coded one with its response
+undone, the settings are the default ones, and every frame has the one before as `previous`. Figures:
 
 - RMS, 99.9 % and bias of the depth of what moves (of the head where a hand passes), mm, inside its surfaces: further
   from every edge than 4 px and what the fastest things move in half an exposure. Of pixels that are absolute and right;
-  "all" are all decoded ones. The truth is that of the middle of each row's exposure.
+  "all" are all decoded ones, whose RMS without whole cycles is that of the phase. The truth is that of the middle of
+  each row's exposure.
 - right: share of the lit pixels there that are absolute and right; covered: share of all lit pixels that are decoded.
 - noise/sigma: of what stands still, standard deviation over time over what `point_sigma` says, both along the ray.
 - flicker: frames with 20 connected pixels or more inside a surface that are absolute and on a wrong cycle.
@@ -74,6 +75,7 @@ class Verdict:
 
     known: Errors = field(default_factory=Errors)
     decoded: Errors = field(default_factory=Errors)
+    phase: Errors = field(default_factory=Errors)
     counts: Counter[str] = field(default_factory=Counter)
     warned: Counter[str] = field(default_factory=Counter)
     cpu_ms: list[float] = field(default_factory=list)
@@ -87,11 +89,13 @@ class Verdict:
         film, period = filming.film, filming.calibration.pattern.period_px
         mask, absolute, points = frame.mask, frame.absolute, frame.points
         phase = np.nan_to_num(2 * np.pi / period * drawn.place)
-        order = np.rint((np.nan_to_num(frame.unwrapped_phase) - phase) / (2 * np.pi))
+        off = np.nan_to_num(frame.unwrapped_phase) - phase
+        order = np.rint(off / (2 * np.pi))
         right, judged = mask & absolute & (order == 0), drawn.inside & (drawn.body == film.judged)
         error = points[..., 2] - drawn.depth_mm
         self.known.add(error[judged & right])
         self.decoded.add(error[judged & mask])
+        self.phase.add(((off - 2 * np.pi * order) * drawn.mm_per_rad)[judged & mask])
         wrong = mask & absolute & (order != 0) & drawn.inside
         _, _, sizes, _ = cv2.connectedComponentsWithStats(wrong.astype(np.uint8))
         self.counts.update(
@@ -104,9 +108,7 @@ class Verdict:
         )
         self.warned.update({str(cause.key) for cause in frame.warnings})
         self._add_still(right & drawn.inside & (drawn.body == film.still), points, frame.point_sigma)
-        self._add_pass(
-            film.hides(filming.film_time(number * filming.shutter.frame_s)), order[judged & mask]
-        )
+        self._add_pass(film.hides(filming.pace * number * filming.shutter.frame_s), order[judged & mask])
 
     def _add_still(
         self, here: npt.NDArray[np.bool_], points: npt.NDArray[np.floating], sigma: npt.NDArray[np.floating]
@@ -143,7 +145,8 @@ class Verdict:
         passes = f"{counts['regained']} of {counts['passes']}" if counts["passes"] else "-"
         warned = ", ".join(f"{key} {times}" for key, times in self.warned.most_common()) or "-"
         return [
-            f"{counts['frames']}", f"{rms:.3f}", f"{most:.2f}", f"{bias:+.3f}", f"{rms_all:.3f}", f"{most_all:.2f}",
+            f"{counts['frames']}", f"{rms:.3f}", f"{most:.2f}", f"{bias:+.3f}", f"{rms_all:.3f}",
+            f"{self.phase.summary()[0]:.3f}", f"{most_all:.2f}",
             f"{counts['right'] / max(counts['judged'], 1):.4f}", f"{counts['covered'] / max(counts['lit'], 1):.4f}",
             f"{self.noise_over_sigma():.2f}", f"{counts['flicker']}", passes,
             f"{np.median(self.cpu_ms):.0f}, {np.quantile(self.cpu_ms, 0.99):.0f}", warned,
@@ -151,8 +154,8 @@ class Verdict:
 
 
 _HEAD = (
-    "| film | rig | mm/s | frames | RMS | 99.9 % | bias | all: RMS | 99.9 % | right | covered | noise/sigma | flicker "
-    "| regained | CPU, ms: median, 99 % | frames with a warning |"
+    "| film | rig | mm/s | frames | RMS | 99.9 % | bias | all: RMS | of the phase | 99.9 % | right "
+    "| covered | noise/sigma | flicker | regained | CPU, ms: median, 99 % | frames with a warning |"
 )
 
 
@@ -194,7 +197,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--films", nargs="+", default=list(FILMS), choices=FILMS)
     parser.add_argument("--rigs", nargs="+", default=list(rigs), choices=rigs)
-    parser.add_argument("--speeds", nargs="+", type=float, help="mm/s; left out: 0 and the film's own")
+    parser.add_argument("--speeds", nargs="+", type=float, help="mm/s; left out: 0 and those of the film")
     parser.add_argument("--frames", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--folder", type=Path, help="where frames and truth are kept, and taken from")
@@ -208,7 +211,7 @@ def main() -> None:
         photographer = photographer_of(rig)
         for name in options.films:
             film = FILMS[name](rig, options.seed)
-            for speed in options.speeds or (0.0, film.speed_mm_s):
+            for speed in options.speeds or (0.0, *film.speeds_mm_s):
                 filming = Filming(photographer, shutter, film, speed, options.seed)
                 folder = None
                 if options.folder is not None:

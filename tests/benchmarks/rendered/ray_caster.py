@@ -301,7 +301,7 @@ def photograph(
     clear: F64Array2,  # (3, 3) of a mirror
     ambient: F64Array2,  # (P, 3)
     scatter: F64Array2,  # (P, 3) mm by which a paint's light spreads, of each primary
-    film: F32Array4,  # out: (K, H, W, 3) linear light; (K * 3, H, W, 3): each primary's apart, with a third of the room's
+    film: F32Array4,  # out: (K, H, W, 3) linear light; (K * 3, H, W, 3): each primary's, with a third of the room's
 ):
     """Take all patterns at once."""
     patterns, height, width = light.shape[3] // 3, film.shape[1], film.shape[2]
@@ -353,7 +353,9 @@ def photograph(
                                     seen += ambient[paint, c] / 3
                                     seen += (matrices[paint, c, j] * diffuse + clear[c, j] * glossy) * arrives[j]
                                     if films == 3 or j == 2:
-                                        film[films * p + (films - 1) * j // 2, y, x, c] += ti.f32(seen / offsets.shape[0])
+                                        film[films * p + (films - 1) * j // 2, y, x, c] += ti.f32(
+                                            seen / offsets.shape[0]
+                                        )
                                         seen = 0.0
 
 
@@ -479,9 +481,9 @@ def projector_numbers(geometry: Geometry) -> F64:
     )  # fmt: skip
 
 
-def true_at_centers(geometry: Geometry, bodies: Bodies, rows: slice = slice(None)) -> Truth:
-    """Return the truth of what is seen, in all rows or some."""
-    rays = rows_of_rays(rays_of(geometry), rows)
+def true_at_centers(geometry: Geometry, bodies: Bodies, rays: F64 | None = None) -> Truth:
+    """Return the truth of what is seen, by all rays or those of some rows."""
+    rays = rays_of(geometry) if rays is None else rays
     found = np.zeros((rays.shape[0] - 2, rays.shape[1] - 2, 6))
     seen = (bodies.kinds, bodies.numbers, bodies.reliefs, bodies.maps)
     look(rays, *seen, projector_numbers(geometry), geometry.phase_axis, found)
