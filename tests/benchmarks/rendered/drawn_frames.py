@@ -60,6 +60,7 @@ class Photographer:
         self.rig = rig
         self.geometry = rig.calibration.geometry()
         self.rays = rays_of(self.geometry)
+        self.pairs = rays // 2
         self._offsets = pixel_rays(rig.camera_blur_px, rays)
         self._projector = projector_numbers(self.geometry)
         self.calibration = self._calibrated()

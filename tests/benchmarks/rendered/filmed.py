@@ -33,8 +33,8 @@ _TRUTH = {
 
 #: The picture that the projector shows, of `drawn_frames.PATTERNS`.
 PATTERN = "compensated coded"
-# Rays a pixel, of all instants of a frame together; at each two or more.
-_RAYS = 16
+#: Rays a pixel, of all instants of a frame together; at each two or more.
+RAYS = 16
 # Nothing moves further from one instant to the next, mm.
 _STEP_MM = 1.0
 # Times within an exposure at which it is looked which primary is on: as often in each of three fields.
@@ -327,7 +327,7 @@ class Filming:
         weights = shutter.weights(starts, instants)
         place = np.interp(starts + 0.5 * shutter.exposure_s, instants, np.arange(len(instants)))
         before = np.minimum(place.astype(int), max(len(instants) - 2, 0))
-        light, pairs = np.zeros((height, width, 3), np.float32), _RAYS // 2
+        light, pairs = np.zeros((height, width, 3), np.float32), photographer.pairs
         sides = [{key: np.zeros((height, width), kind) for key, kind in _TRUTH.items()} for _ in range(2)]
         for k, (time_s, weight) in enumerate(zip(instants, weights, strict=True)):
             scene = self.film.scene(self.pace * time_s)
@@ -378,8 +378,3 @@ def _span(used: Mask) -> slice | None:
     """Return from the first to the last row that is used."""
     rows = np.flatnonzero(used)
     return slice(rows[0], rows[-1] + 1) if len(rows) else None
-
-
-def photographer_of(rig: DrawnRig) -> Photographer:
-    """Return who photographs before a rig, with its calibration."""
-    return Photographer(rig, _RAYS)

@@ -34,7 +34,8 @@ import numpy.typing as npt
 sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 
 from drawn_figures import delivered
-from filmed import FILMS, Drawn, Filming, film_rigs, photographer_of
+from drawn_frames import Photographer
+from filmed import FILMS, RAYS, Drawn, Filming, film_rigs
 
 from pipeline import DecodedFrame, Decoder, DecodeSettings
 from pipeline.errors import DecodeWarning
@@ -208,7 +209,7 @@ def main() -> None:
     print(_HEAD + "\n" + "|---" * (_HEAD.count("|") - 1) + "|")
     for rig_name in options.rigs:
         rig, shutter = (film_rigs(options.seed)[rig_name].rig, film_rigs(options.seed)[rig_name].shutter)
-        photographer = photographer_of(rig)
+        photographer = Photographer(rig, RAYS)
         for name in options.films:
             film = FILMS[name](rig, options.seed)
             for speed in options.speeds or (0.0, *film.speeds_mm_s):
