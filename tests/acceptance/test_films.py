@@ -23,11 +23,11 @@ def filming():
     photographers = {}
 
     def of(rig: str, film: str, speed_mm_s: float) -> Filming:
+        drawn, shutter = _RIGS[rig]
         kind = "led" if rig == "led" else "webcam"
         if kind not in photographers:
-            photographers[kind] = Photographer(_RIGS[rig].rig, 4)
-        scenes = FILMS[film](_RIGS[rig].rig, 0)
-        return Filming(photographers[kind], _RIGS[rig].shutter, scenes, speed_mm_s, 0)
+            photographers[kind] = Photographer(drawn, 4)
+        return Filming(photographers[kind], shutter, FILMS[film](drawn, 0), speed_mm_s, 0)
 
     return of
 
@@ -35,7 +35,7 @@ def filming():
 @pytest.mark.parametrize("rig", _RIGS)
 def test_light_and_times_of_the_primaries_add_up(rig):
     """Each primary's weights sum to one, and the mean time of the three is the middle of a row's exposure."""
-    shutter = _RIGS[rig].shutter
+    _, shutter = _RIGS[rig]
     starts = shutter.row_starts(7, 480)
     instants = np.linspace(starts[0], starts[-1] + shutter.exposure_s, 9)
     weights = shutter.weights(starts, instants)

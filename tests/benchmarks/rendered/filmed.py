@@ -1,11 +1,10 @@
 """Films of things that move before rigs as people have them: scenes at any time, and what a shutter makes of them.
 
-A row r of frame n is exposed from n * frame_s + start_s + r * row_s for exposure_s. The scene is drawn at instants
-so close that nothing moves further than 1 mm from one to the next; between two of them the light of each
-primary is taken to change linearly, and a row's light is the mean over the times in which it is exposed and the primary
-is on. A moving edge is thus a sum of edges that close rather than a ramp. A pixel's rays are spread over the instants.
-Everything is a function of time and seed:
-a frame can be drawn without those before it.
+Row r of H of frame n is exposed from n * frame_s + start_s + readout_s * r / H for exposure_s. The scene is drawn at
+instants so close that nothing moves further than 1 mm from one to the next. Between two of them the light of each
+primary is taken to change linearly; a row's light is the mean over the times at which it is exposed and the primary is
+on. A moving edge is thus a sum of edges 1 mm apart rather than a ramp. A pixel's rays are spread over the instants.
+Everything is a function of time and seed: a frame can be drawn without those before it.
 """
 
 from collections.abc import Callable
@@ -76,14 +75,6 @@ class Shutter:
 
 
 @dataclass(frozen=True)
-class FilmRig:
-    """A rig whose light, shutter and delivery are those of a kind of rig that people have."""
-
-    rig: DrawnRig
-    shutter: Shutter
-
-
-@dataclass(frozen=True)
 class Film:
     """Things that move at the speed of `speed_mm_s` if the film runs as fast as time."""
 
@@ -148,17 +139,17 @@ _ROLLING = {"frame_s": 1 / 30, "readout_s": 0.02}
 _DRIFT = 3e-4
 
 
-def film_rigs(seed: int) -> dict[str, FilmRig]:
-    """Return the rigs; the seed draws when free-running cameras start."""
+def film_rigs(seed: int) -> dict[str, tuple[DrawnRig, Shutter]]:
+    """Return kinds of rigs that people have; the seed draws when free-running cameras start."""
     start = np.random.default_rng([50, seed]).uniform(0, 1 / 60)
     free = {**_ROLLING, "exposure_s": 1 / 60, "start_s": start, "drift": _DRIFT}
+    led = _rig(_LED, delivery="bayer", full_well=10000.0, read_noise=3.0)
+    webcam = _webcam(_LAMP)
     return {
-        "led": FilmRig(
-            _rig(_LED, delivery="bayer", full_well=10000.0, read_noise=3.0), Shutter(frame_s=0.01, exposure_s=0.005)
-        ),
-        "three-chip webcam": FilmRig(_webcam(_LAMP), Shutter(exposure_s=0.01, **_ROLLING)),
-        "single-chip webcam 180": FilmRig(_webcam(_LAMP), Shutter(cycle_s=1 / 60, **free)),
-        "single-chip webcam 360": FilmRig(_webcam(_LAMP), Shutter(cycle_s=1 / 120, **free)),
+        "led": (led, Shutter(frame_s=0.01, exposure_s=0.005)),
+        "three-chip webcam": (webcam, Shutter(exposure_s=0.01, **_ROLLING)),
+        "single-chip webcam 180": (webcam, Shutter(cycle_s=1 / 60, **free)),
+        "single-chip webcam 360": (webcam, Shutter(cycle_s=1 / 120, **free)),
     }
 
 
@@ -242,7 +233,7 @@ def _waving_cloth(rig: DrawnRig, seed: int, prints: bool = False) -> Film:
     at = np.linspace(-half, half, still.bodies[0].relief.shape[0])
     x, y = np.meshgrid(at, at)
     start = np.random.default_rng([52, seed]).uniform(0, 2 * np.pi, 2)
-    painted = printed(half, 2.5 * mm_per_cycle(rig), 0.2) if prints else None
+    painted = printed(half, 5 * mm_per_cycle(rig), 0.2) if prints else None
     cloth = Body(RELIEF, np.array([0, 0, d - 20.0]), (half, half, 30.0), 0, turned(6, -8), None, painted)
 
     def scene(t: float) -> Scene:

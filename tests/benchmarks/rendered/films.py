@@ -14,7 +14,8 @@ undone, the settings are the default ones, and every frame has the one before as
 - noise/sigma: of what stands still, standard deviation over time over what `point_sigma` says, both along the ray.
 - flicker: frames with 20 connected pixels or more inside a surface that are absolute and on a wrong cycle.
 - regained: passes of the hand after which the head's commonest order error is the one before.
-- CPU: ms a frame, median and 99th percentile, of decoding and reading the fields that are judged.
+- CPU: ms a frame, median and 99th percentile, of decoding and reading the fields that are judged; without
+  the first frame.
 """
 
 import argparse
@@ -150,7 +151,7 @@ class Verdict:
             f"{self.phase.summary()[0]:.3f}", f"{most_all:.2f}",
             f"{counts['right'] / max(counts['judged'], 1):.4f}", f"{counts['covered'] / max(counts['lit'], 1):.4f}",
             f"{self.noise_over_sigma():.2f}", f"{counts['flicker']}", passes,
-            f"{np.median(self.cpu_ms):.0f}, {np.quantile(self.cpu_ms, 0.99):.0f}", warned,
+            "{:.0f}, {:.0f}".format(*np.quantile(self.cpu_ms, (0.5, 0.99))) if self.cpu_ms else "-", warned,
         ]  # fmt: skip
 
 
@@ -187,7 +188,8 @@ def judge(filming: Filming, frames: int, folder: Path | None) -> Verdict:
         start = time.process_time()
         frame = decoder.decode(image, previous=frame)
         _ = frame.mask, frame.absolute, frame.unwrapped_phase, frame.points, frame.point_sigma
-        verdict.cpu_ms.append(1e3 * (time.process_time() - start))
+        if number:
+            verdict.cpu_ms.append(1e3 * (time.process_time() - start))
         verdict.add(frame, drawn, filming, number)
     return verdict
 
@@ -208,7 +210,7 @@ def main() -> None:
     warnings.simplefilter("ignore", DecodeWarning)
     print(_HEAD + "\n" + "|---" * (_HEAD.count("|") - 1) + "|")
     for rig_name in options.rigs:
-        rig, shutter = (film_rigs(options.seed)[rig_name].rig, film_rigs(options.seed)[rig_name].shutter)
+        rig, shutter = film_rigs(options.seed)[rig_name]
         photographer = Photographer(rig, RAYS)
         for name in options.films:
             film = FILMS[name](rig, options.seed)
