@@ -277,11 +277,12 @@ FILMS: dict[str, Callable[[DrawnRig, int], Film]] = {
 
 
 class Filming:
-    """Draws the frames of a film before a rig, at a speed; 0: the film's first scene, again and again."""
+    """Draws the frames of a film before a rig, at a speed; 0: at its own, but at rest while a frame is exposed."""
 
     def __init__(self, photographer: Photographer, shutter: Shutter, film: Film, speed_mm_s: float, seed: int) -> None:
         self.photographer, self.shutter, self.film, self.seed = photographer, shutter, film, seed
-        self.pace = speed_mm_s / film.speed_mm_s  # seconds of the film in one of the camera's
+        self.frozen = speed_mm_s == 0
+        self.pace = 1.0 if self.frozen else speed_mm_s / film.speed_mm_s  # seconds of the film in one of the camera's
         self.calibration = calibration_for(photographer.calibration, PATTERN)
         rig, geometry = photographer.rig, photographer.geometry
         self.mm_per_px = rig.distance_mm / geometry.camera.matrix[0, 0]
@@ -294,7 +295,7 @@ class Filming:
     @cached_property
     def exposure(self) -> float:
         """By what light is multiplied: the least that one would choose during the film."""
-        scenes = [self.film.scene(t) for t in (_EXPOSED_AT_S if self.pace else (0.0,))]
+        scenes = [self.film.scene(t) for t in _EXPOSED_AT_S]
         white = self.photographer.arriving(scenes[0], [np.ones_like(self.photographer.codes(PATTERN))])
         seen = (self.photographer.seen(scene, scene.packed(), white)[0] for scene in scenes)
         return min(self.photographer.exposure(film) for film in seen)
@@ -302,7 +303,7 @@ class Filming:
     def instants(self, starts: F64) -> F64:
         """Return when the scene is drawn for a frame, s."""
         first, last = starts[0], starts[-1] + self.shutter.exposure_s
-        if self.pace == 0:
+        if self.frozen:
             return np.array([0.5 * (first + last)])
         return np.linspace(first, last, 2 + int(self.pace * self.film.fastest_mm_s * (last - first) / _STEP_MM))
 
@@ -350,14 +351,9 @@ class Filming:
             edge |= np.pad(step, [(0, 1), (0, 0)][:: 1 - 2 * axis]) | np.pad(step, [(1, 0), (0, 0)][:: 1 - 2 * axis])
         return truth, deeper(~edge, self.rim_px)
 
-    @cached_property
-    def _still(self) -> tuple[F32, Truth, Mask]:
-        """All frames where nothing moves: exposures are whole colour cycles."""
-        return self.exposed(0)
-
     def draw(self, number: int) -> Drawn:
         """Return a frame."""
-        light, truth, inside = self.exposed(number) if self.pace else self._still
+        light, truth, inside = self.exposed(number)
         levels = sensed(self.photographer.rig, light, self.exposure, 100_000 * self.seed + number)
         signal = self.exposure * light
         lit = truth.lit & (255 * signal.mean(axis=2) > _LIT_LEVELS) & (signal.max(axis=2) < 1)

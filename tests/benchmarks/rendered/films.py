@@ -2,7 +2,7 @@
 
     python tests/benchmarks/rendered/films.py [--films ...] [--rigs ...] [--speeds ...] [--frames 1000] [--folder F]
 
-A row is a film before a rig at a speed, mm/s; 0 is the reference: the same scene without motion. The geometry is the
+A row is a film before a rig at a speed, mm/s; 0 is the reference: at rest while a frame is exposed. The geometry is the
 true one, matrix and response are measured on the rig's own ramps, the pattern is the coded one with its response
 undone, the settings are the default ones, and every frame has the one before as `previous`. Figures:
 
