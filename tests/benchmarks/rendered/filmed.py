@@ -210,7 +210,7 @@ def _scattering_head(rig: DrawnRig, seed: int) -> Film:
 def _passing_hand(rig: DrawnRig, seed: int) -> Film:
     """Return a hand that sweeps at 300 mm/s in front of a talking head and back, 60 mm or more before it."""
     head, hand = _talking_head(rig, seed), draw_scene("hand", rig, seed)
-    reach, hidden = 190.0, 160.0
+    reach, hidden = 240.0, 160.0
 
     def scene(t: float) -> Scene:
         behind = head.scene(t)
