@@ -43,34 +43,40 @@ def deeper(mask: Mask, px: float) -> Mask:
     return cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5) > px
 
 
-def calibration_for(taken: Taken, pattern: str) -> Calibration:
-    """Return the rig's, with what is known of the pattern."""
+def calibration_for(measured: Calibration, pattern: str) -> Calibration:
+    """Return a rig's, with what is known of the pattern."""
     code, compensated = PATTERNS[pattern]
-    known = choose_pattern(taken.measured, None, None, code).model_copy(update={"compensated": compensated})
-    return taken.measured.model_copy(update={"capture": None, "pattern": known})
+    known = choose_pattern(measured, None, None, code).model_copy(update={"compensated": compensated})
+    return measured.model_copy(update={"capture": None, "pattern": known})
 
 
 def decode(taken: Taken, pattern: str, noise: bool = True, known: bool = True) -> DecodedFrame:
     """Return a frame of a pattern, decoded."""
     rig = taken.rig
     levels = sensed(rig, taken.light[pattern], taken.exposure, taken.seed if noise else None)
-    calibration: Calibration | None = calibration_for(taken, pattern) if known else None
+    calibration: Calibration | None = calibration_for(taken.measured, pattern) if known else None
     settings = DecodeSettings(
         stripes=rig.calibration.pattern.stripes,
         **({} if known else {"code": PATTERNS[pattern][0]}),
     )
-    if noise and rig.delivery in ("jpeg", "mjpeg"):
-        image, settings = _by_file(rig, levels, settings, calibration)
-    elif noise and rig.delivery == "bayer":
-        image = develop((levels,), PixelFormat("bayer", rig.bits, bayer="rggb"), stripes=settings.stripes)
-    else:
-        image = levels
-        if noise and rig.bits not in (8, 16):
-            settings = settings.model_copy(update={"white_level": 2.0**rig.bits - 1})
+    image, settings = delivered(rig, levels, settings, calibration) if noise else (levels, settings)
     decoder = Decoder(settings, calibration, arch="cpu")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DecodeWarning)
         return decoder.decode(image)
+
+
+def delivered(
+    rig: DrawnRig, levels: npt.NDArray[Any], settings: DecodeSettings, calibration: Calibration | None
+) -> tuple[Any, DecodeSettings]:
+    """Return what a decoder is given of what the sensor says, and with which settings."""
+    if rig.delivery in ("jpeg", "mjpeg"):
+        return _by_file(rig, levels, settings, calibration)
+    if rig.delivery == "bayer":
+        return develop((levels,), PixelFormat("bayer", rig.bits, bayer="rggb"), stripes=settings.stripes), settings
+    if rig.bits not in (8, 16):
+        settings = settings.model_copy(update={"white_level": 2.0**rig.bits - 1})
+    return levels, settings
 
 
 def _by_file(

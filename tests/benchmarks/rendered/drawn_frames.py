@@ -15,6 +15,7 @@ from ray_caster import (
     F32,
     F64,
     NOTHING,
+    RAYS,
     Bodies,
     Truth,
     cosine_directions,
@@ -23,6 +24,7 @@ from ray_caster import (
     pixel_rays,
     projector_numbers,
     rays_of,
+    rows_of_rays,
     true_at_centers,
 )
 
@@ -54,11 +56,12 @@ _LIT_LEVELS = 8.0  # of 255, amplitude
 class Photographer:
     """Photographs scenes before a rig."""
 
-    def __init__(self, rig: DrawnRig) -> None:
+    def __init__(self, rig: DrawnRig, rays: int = RAYS) -> None:
         self.rig = rig
         self.geometry = rig.calibration.geometry()
-        self._rays = rays_of(self.geometry)
-        self._offsets = pixel_rays(rig.camera_blur_px)
+        self.rays = rays_of(self.geometry)
+        self.pairs = rays // 2
+        self._offsets = pixel_rays(rig.camera_blur_px, rays)
         self._projector = projector_numbers(self.geometry)
         self.calibration = self._calibrated()
 
@@ -97,25 +100,47 @@ class Photographer:
                 found[level, ..., 3 * number : 3 * number + 3] = cv2.GaussianBlur(fine, (0, 0), blur)
         return found
 
+    def arriving(self, scene: Scene, pictures: list[F32]) -> F32:
+        """Return the light that these pictures of codes send, (levels of blur, rows, columns, 3 * K) in steps."""
+        most_mm = max((max(mm) for mm in scene.scatter_mm.values()), default=0.0)
+        most_px = most_mm * self.geometry.projector.matrix[0, 0] / (_NEAREST * self.rig.distance_mm)
+        return self._blurred(pictures, 1 + int(np.ceil(most_px / _LEVEL_PX)))
+
     def lights(self, scene: Scene, pictures: list[F32]) -> F32:
         """Return the linear light (K, H, W, 3) of frames under these pictures of codes."""
-        rig, packed = self.rig, scene.packed()
-        width, height = self.geometry.camera.size_px
-        film = np.zeros((len(pictures), height, width, 3), np.float32)
+        packed, light = scene.packed(), self.arriving(scene, pictures)
+        film = self.seen(scene, packed, light)
+        if scene.bounces:
+            film += self._bounced(scene, packed, light, len(pictures))
+        return film
+
+    def seen(
+        self,
+        scene: Scene,
+        packed: Bodies,
+        light: F32,
+        rows: slice = slice(None),
+        apart: bool = False,
+        share: slice = slice(None),
+    ) -> F32:
+        """Return the linear light (K, H, W, 3) of rows without bounces; apart: (K * 3, H, W, 3), each primary's.
+
+        Of the pixel's pairs of rays a share.
+        """
+        rig, rays = self.rig, rows_of_rays(self.rays, rows)
+        films = light.shape[3] if apart else light.shape[3] // 3
+        film = np.zeros((films, rays.shape[0] - 2, rays.shape[1] - 2, 3), np.float32)
         spread = np.zeros((len(scene.paints), 3))
         for paint, mm in scene.scatter_mm.items():
             spread[paint] = mm
-        most_px = spread.max() * self.geometry.projector.matrix[0, 0] / (_NEAREST * rig.distance_mm)
-        light = self._blurred(pictures, 1 + int(np.ceil(most_px / _LEVEL_PX)))
+        offsets = np.ascontiguousarray(self._offsets.reshape(2, -1, 2)[:, share]).reshape(-1, 2)
         photograph(
-            self._rays, self._offsets, np.array(rig.camera_magnified), packed.kinds, packed.numbers, packed.reliefs,
+            rays, offsets, np.array(rig.camera_magnified), packed.kinds, packed.numbers, packed.reliefs,
             packed.maps, self._projector, np.array(rig.projector_magnified), light,
             np.array([_STEPS, _MARGIN, _LEVEL_PX]),
             np.stack([rig.matrix(paint) for paint in scene.paints]), rig.matrix(1.0),
             np.stack([rig.ambient_on(paint) for paint in scene.paints]), spread, film,
         )  # fmt: skip
-        if scene.bounces:
-            film += self._bounced(scene, packed, light, len(pictures))
         return film
 
     def _bounced(self, scene: Scene, packed: Bodies, light: F32, patterns: int) -> F32:
@@ -124,7 +149,7 @@ class Photographer:
         grid = np.zeros((patterns, -(-height // _SPACING) + 1, -(-width // _SPACING) + 1, 3), np.float32)
         pairs = [self.rig.matrix(one * other) for one in scene.paints for other in scene.paints]
         gather(
-            self._rays, cosine_directions(_DIRECTIONS), packed.kinds, packed.numbers, packed.reliefs, packed.maps,
+            self.rays, cosine_directions(_DIRECTIONS), packed.kinds, packed.numbers, packed.reliefs, packed.maps,
             self._projector, light, np.array([_STEPS, _MARGIN], np.float64),
             np.ascontiguousarray(np.stack(pairs)[..., None]), _SPACING, grid,
         )  # fmt: skip

@@ -190,6 +190,14 @@ def _hand(rng: np.random.Generator, rig: DrawnRig) -> Scene:
     return Scene("hand", bodies, [_pale(rng), _skin(rng, rng.uniform(0, 0.6))], ["wall", "skin"])
 
 
+def printed(half: float, width: float, angle: float, stripes: bool = False) -> npt.NDArray[np.uint8]:
+    """Return a map of 0 and 1 in checks, or stripes, of so many mm, turned by an angle."""
+    px, py = _mesh(_MAP, half)
+    along, across = px * np.cos(angle) + py * np.sin(angle), py * np.cos(angle) - px * np.sin(angle)
+    number = np.floor(along / width) + (0 if stripes else np.floor(across / width))
+    return (number % 2).astype(np.uint8)
+
+
 def _cloth(name: str, cycles: float, stripes: bool, rng: np.random.Generator, rig: DrawnRig) -> Scene:
     """Return cloth that waves, printed with checks or stripes of so many cycles' width."""
     d = rig.distance_mm
@@ -201,12 +209,7 @@ def _cloth(name: str, cycles: float, stripes: bool, rng: np.random.Generator, ri
         height += (
             0.025 * length * np.sin(2 * np.pi / length * (x * np.cos(angle) + y * np.sin(angle)) + rng.uniform(0, 6))
         )
-    width = cycles * mm_per_cycle(rig)
-    px, py = _mesh(_MAP, half)
-    angle = rng.uniform(-0.4, 0.4)
-    along, across = px * np.cos(angle) + py * np.sin(angle), py * np.cos(angle) - px * np.sin(angle)
-    number = np.floor(along / width) + (0 if stripes else np.floor(across / width))
-    painted = (number % 2).astype(np.uint8)
+    painted = printed(half, cycles * mm_per_cycle(rig), rng.uniform(-0.4, 0.4), stripes)
     hues = rng.choice(HUES, 2, replace=False)
     paints = [_saturated(rng, hues[0]), 0.5 * _saturated(rng, hues[1]) + 0.5 * _pale(rng)]
     body = Body(

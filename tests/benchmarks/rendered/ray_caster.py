@@ -23,8 +23,8 @@ BOX, BALL, CAPSULE, RELIEF = range(4)
 NOTHING = 255
 # Light is one on a surface that faces the projector at this distance, mm.
 _REFERENCE_MM = 900.0
-# Rays a pixel; pairs of them lie opposite each other.
-_RAYS = 32
+#: Rays a pixel; pairs of them lie opposite each other.
+RAYS = 32
 # Along a relief a ray goes in steps of this many grid cells, then by secants.
 _STRIDE, _HALVES = 2.0, 9
 _FAR = 1e9
@@ -301,10 +301,11 @@ def photograph(
     clear: F64Array2,  # (3, 3) of a mirror
     ambient: F64Array2,  # (P, 3)
     scatter: F64Array2,  # (P, 3) mm by which a paint's light spreads, of each primary
-    film: F32Array4,  # out: (K, H, W, 3) linear light
+    film: F32Array4,  # out: (K, H, W, 3) linear light; (K * 3, H, W, 3): each primary's, with a third of the room's
 ):
     """Take all patterns at once."""
-    patterns, height, width = film.shape[0], film.shape[1], film.shape[2]
+    patterns, height, width = light.shape[3] // 3, film.shape[1], film.shape[2]
+    films = film.shape[0] // patterns  # of a pattern
     for y, x in ti.ndrange(height, width):
         together = magnified[0] == magnified[1] and magnified[1] == magnified[2]
         across_x, across_y = (
@@ -315,7 +316,7 @@ def photograph(
             0.5 * (rays[y + 2, x + 1, 0] - rays[y, x + 1, 0]),
             0.5 * (rays[y + 2, x + 1, 1] - rays[y, x + 1, 1]),
         )
-        for p in range(patterns):
+        for p in range(film.shape[0]):
             for c in ti.static(range(3)):
                 film[p, y, x, c] = 0.0
         for group in range(ti.select(together, 1, 3)):
@@ -347,10 +348,15 @@ def photograph(
                                 arrives[j] = light_of(light, columns[j], rows[j], 3 * p + j, levels[j])
                         for c in ti.static(range(3)):
                             if together or c == group:
-                                seen = ambient[paint, c]
+                                seen = ti.f64(0.0)
                                 for j in ti.static(range(3)):
+                                    seen += ambient[paint, c] / 3
                                     seen += (matrices[paint, c, j] * diffuse + clear[c, j] * glossy) * arrives[j]
-                                film[p, y, x, c] += ti.f32(seen / offsets.shape[0])
+                                    if films == 3 or j == 2:
+                                        film[films * p + (films - 1) * j // 2, y, x, c] += ti.f32(
+                                            seen / offsets.shape[0]
+                                        )
+                                        seen = 0.0
 
 
 @ti.kernel
@@ -435,13 +441,19 @@ def rays_of(geometry: Geometry) -> F64:
     return geometry.camera.rays_through(np.stack([x.ravel(), y.ravel()], axis=-1)).reshape(height + 2, width + 2, 2)
 
 
-def pixel_rays(blur_px: float) -> F64:
+def rows_of_rays(rays: F64, rows: slice) -> F64:
+    """Return the rays of some rows, with their margin."""
+    first, end, _ = rows.indices(rays.shape[0] - 2)
+    return np.ascontiguousarray(rays[first : end + 2])
+
+
+def pixel_rays(blur_px: float, rays: int = RAYS) -> F64:
     """Return (S, 2) places of a pixel's rays: even over its area, spread by the lens's blur.
 
     They follow a sequence that fills space evenly (M. Roberts 2018, the generalised golden ratio).
     """
     normal = np.vectorize(NormalDist().inv_cdf)
-    number = np.arange(1, _RAYS // 2 + 1)[:, None]
+    number = np.arange(1, rays // 2 + 1)[:, None]
     plastic = 1.324717957244746
     even = (0.5 + number / plastic ** np.arange(1, 5)) % 1
     half = even[:, :2] - 0.5 + blur_px * normal(even[:, 2:])
@@ -469,12 +481,12 @@ def projector_numbers(geometry: Geometry) -> F64:
     )  # fmt: skip
 
 
-def true_at_centers(geometry: Geometry, bodies: Bodies) -> Truth:
-    """Return the truth of what is seen."""
-    width, height = geometry.camera.size_px
-    found = np.zeros((height, width, 6))
+def true_at_centers(geometry: Geometry, bodies: Bodies, rays: F64 | None = None) -> Truth:
+    """Return the truth of what is seen, by all rays or those of some rows."""
+    rays = rays_of(geometry) if rays is None else rays
+    found = np.zeros((rays.shape[0] - 2, rays.shape[1] - 2, 6))
     seen = (bodies.kinds, bodies.numbers, bodies.reliefs, bodies.maps)
-    look(rays_of(geometry), *seen, projector_numbers(geometry), geometry.phase_axis, found)
+    look(rays, *seen, projector_numbers(geometry), geometry.phase_axis, found)
     nowhere = found[..., 3] == NOTHING
     with np.errstate(divide="ignore"):
         slope = 2 * np.pi / geometry.pattern.period_px * found[..., 5]
