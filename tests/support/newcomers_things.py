@@ -52,6 +52,8 @@ def make_things(folder: Path) -> None:
     stereo.release()
     for name in ("picture.png", "frame.png"):
         write_png(folder / name, np.asarray(images[0], np.uint8))
+    for number, name in enumerate(("calibrated.png", "now.png")):  # of a sheet that holds still
+        write_png(folder / name, simulate_frame(rig, SimulationSettings(scene="plane", seed=number)).image)
     cv2.imwrite(str(folder / "wide.tif"), np.ascontiguousarray(images[0][..., ::-1]))
     (folder / "settings.toml").write_text("smoothing_px = 5\n")
     (folder / "rig.toml").write_text(_RIG)
