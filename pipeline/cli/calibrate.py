@@ -390,5 +390,7 @@ calibrate.command(
 )
 calibrate.command("pipeline.cli.calibrate_capture:capture", name="capture", help="Show and take the pictures, guided.")
 calibrate.command(
-    "pipeline.cli.calibrate_touch_up:touch_up", name="touch-up", help="Take out what has drifted, by a still thing."
+    "pipeline.cli.calibrate_touch_up:touch_up",
+    name="touch-up",
+    help="Correct a calibration for drift, by a still object.",
 )

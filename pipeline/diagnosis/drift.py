@@ -1,7 +1,7 @@
-"""How far a rig has moved since its calibration, by a still thing that two pictures show in the same place.
+"""How far a rig has moved since its calibration, by a still object that two pictures show in the same place.
 
-A plane of unknown place does not tell: under a projector that has turned it looks like a plane somewhere else. So a
-picture taken when the calibration was known to be right says where the still thing is, and one taken now at which
+A plane in an unknown place is not enough: under a projector that has turned it looks like a plane elsewhere. So a
+picture taken when the calibration was known to be right shows where the still object is, and one taken now at which
 phases it is seen. Between them the projector may have turned about the axis along the stripes, which moves the pattern
 across them (0.05 degrees are more than a pixel), turned about its own axis, and grown or shrunk as a warm lens does.
 A turn about the third axis hardly moves a pattern of stripes.
@@ -25,11 +25,11 @@ from pipeline.robust import robust_sigma
 _TILE_PX, _FILLED = 32, 0.5
 _LEAST_TILES = 12
 # What is usual, as standard deviations: any offset, a turn about the projector's axis (rad), a warm lens. They decide
-# where a narrow strip does not tell.
+# what a narrow strip leaves open.
 _USUAL = np.array([1.0, 2e-3, 3e-4])
 # Tiles further off than this many standard deviations do not hold still, and at least this share must.
 _SIGMAS, _STILL = 4.0, 0.6
-# More than this, in cycles, is told from a turn by a whole cycle less only where orders are absolute, and is no drift.
+# More than this, in cycles, is no drift; where orders are not absolute it could be a whole cycle less.
 _MOST_CYCLES = 0.4
 _ROUNDS = 20
 
@@ -45,9 +45,9 @@ class Drift:
     scale: tuple[float, float]
     """By what factor it has grown."""
     depth_mm: float
-    """Median error of depth that this has made on the still thing."""
+    """Median error of depth that this has made on the still object, mm."""
     left_mm: float
-    """Standard deviation of the depth's error that is left, where in the picture it is largest."""
+    """Standard deviation of the depth's error that is left, mm, where in the picture it is largest."""
     calibration: Calibration
     """With the drift taken out; what is left is added to `uncertainty.depth_bias_mm`."""
 
@@ -58,7 +58,7 @@ def measure_drift(before: DecodedFrame, now: DecodedFrame, calibration: Calibrat
     Parameters
     ----------
     before, now : DecodedFrame
-        Of one camera that has not moved against the still thing, taken when the calibration was right and now, both
+        Of one camera that has not moved against the still object, taken when the calibration was right and now, both
         decoded with it. What is elsewhere in the second one does not count, if it is less than two fifths.
     calibration : Calibration
         The rig's, with a geometry.
