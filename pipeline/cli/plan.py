@@ -132,12 +132,12 @@ def _motion_rows(plan: RigPlan) -> list[tuple[str, str, str]]:
         (
             "longest exposure",
             f"{_number(1e3 * plan.longest_exposure_s)} ms",
-            f"{speed} motion then costs as much as the noise{whole}",
+            f"{speed} motion then takes as much detail as smoothing{whole}",
         ),
         (
             "moved meanwhile",
             f"{_number(plan.passed_mm)} mm",
-            f"in {_number(1e3 * plan.exposure_s)} ms; the shape is that of the exposure's middle",
+            f"in {_number(1e3 * plan.exposure_s)} ms; the depth is that of the exposure's middle",
         ),
     ]
     if choice.colour_cycle_s is not None:
@@ -145,7 +145,7 @@ def _motion_rows(plan: RigPlan) -> list[tuple[str, str, str]]:
             (
                 "colours in turn",
                 f"{_number(plan.colour_bias_mm)} mm",
-                f"RMS at most, a ripple {speed}",
+                f"RMS at most, a ripple {speed}: {_number(plan.colour_bias_mm / choice.speed_mm_s)} mm per mm/s",
             )
         )
     rows.append(

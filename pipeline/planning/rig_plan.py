@@ -13,12 +13,12 @@ volume 1, 1993, section 3.7). The decoder's own noise model then says what smoot
 (`tikernels/phase/uncertainty.py`). Smoothing weighs rows by their certainty, but not without bounds, so that it leaves
 more than the harmonic mean of a cycle's variances and less than their mean: the geometric mean is between the two.
 
-**Motion.** Colours that are all there at once are averaged over the exposure, and the phase is that of its middle.
-Within an exposure t an object of speed v passes through depths whose standard deviation is v t / sqrt(12), that of an
-even distribution; the longest exposure is that in which this is as much as a pixel's noise. Colours in turn, a third of
-the colour cycle T apart, see it at three depths: red's and blue's phases are off by -w and w relative to green's, w
-being v T / 3 in rad, which puts a second harmonic of w / sqrt(3) on the arctangent's phase, RMS w / sqrt(6), whatever
-the geometry; the decoder's model of the light takes a part of it off (`docs/planning.md`).
+**Motion.** Colours that are all there at once are averaged over the exposure, and the phase is that of its middle. What
+is lost is detail along the way that the object moves, as in smoothing: the longest exposure is that in which it moves
+by as many camera px as smoothing averages over. Colours in turn, a third of the colour cycle T apart, see it at three
+depths: red's and blue's phases are off by -w and w relative to green's, w being v T / 3 in rad, which puts a second
+harmonic of w / sqrt(3) on the arctangent's phase, RMS w / sqrt(6), whatever the geometry; the decoder's model of the
+light takes a part of it off (`docs/planning.md`).
 """
 
 from dataclasses import dataclass, replace
@@ -219,7 +219,7 @@ class RigPlan:
     cycles_in_view: float  # by both
     phase_sigma_rad: float  # of a pixel, decoded as by default, as bright as chosen
     dark_phase_sigma_rad: float  # where it is half as bright
-    longest_exposure_s: float  # motion then costs as much as the noise; infinite where nothing moves
+    longest_exposure_s: float  # motion then takes as much detail as smoothing; infinite where nothing moves
     exposure_s: float | None  # the one that was chosen, else the longest, in whole colour cycles; None: nothing moves
     colour_bias_mm: float  # RMS at most, what motion between colours in turn leaves
     least_rate_hz: float  # to carry orders from frame to frame under a plain pattern
@@ -301,7 +301,7 @@ def plan_rig(**values: Any) -> RigPlan:
     cycles = fields.overlap_mm[choice.phase_axis] / fringe.pitch_mm
     sigma, dark = (_phase_sigma_rad(choice, cycles, share) for share in (1.0, 0.5))
     speed, cycle_s = choice.speed_mm_s, choice.colour_cycle_s or 0.0
-    longest_s = sqrt(12) * sigma * fringe.depth_per_rad_mm / speed if speed else inf
+    longest_s = DecodeSettings().smoothing_px * fields.mm_per_px / speed if speed else inf
     board = choose_board(fields.overlap_mm, fields.mm_per_px)
     plan = RigPlan(
         choice=choice,
@@ -375,7 +375,7 @@ def _least_pitch_mm(surface: str) -> float:
 
 
 def _usual_exposure_s(longest_s: float, colour_cycle_s: float | None) -> float | None:
-    """Return the longest exposure that costs no more than the noise, of whole colour cycles where there are any."""
+    """Return the longest exposure that motion allows, of whole colour cycles where there are any."""
     if longest_s == inf:
         return None
     return longest_s if colour_cycle_s is None else colour_cycle_s * max(1, int(longest_s / colour_cycle_s))
@@ -428,13 +428,13 @@ def _warnings(plan: RigPlan) -> list[str]:
 
 
 def _motion_warnings(plan: RigPlan) -> list[str]:
-    """Return the cost of motion beyond the noise, one line each, with the cure."""
+    """Return what motion costs beyond what smoothing and noise do, one line each, with the cure."""
     choice, found = plan.choice, []
     speed, longest_ms = f"{choice.speed_mm_s:g} mm/s", 1e3 * plan.longest_exposure_s
     if plan.exposure_s is not None and plan.exposure_s > 1.001 * plan.longest_exposure_s:
         found.append(
             f"at {speed} the object moves {plan.passed_mm:.2g} mm in an exposure of {1e3 * plan.exposure_s:.3g} ms, "
-            f"which costs more than the noise: expose for {longest_ms:.2g} ms or less"
+            f"and details smaller than that are lost: expose for {longest_ms:.2g} ms or less"
             + (", under a projector that shows its colours at once" if choice.colour_cycle_s else "")
         )
     if plan.colour_bias_mm > plan.depth_sigma_mm:
