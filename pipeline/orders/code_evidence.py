@@ -39,12 +39,11 @@ _UNUSUAL = 0.1
 # Shifts of half a cell either way that are tried, which share of a cell is too far to be believed, and by how much
 # likelier one far off must be than any other, and than no code at all.
 _SHIFTS, _MOST_SHIFT, _SURE_SHIFT = 13, 0.25, 33.0
-# Where much is tried of the largest parts, so many of their blocks are looked at; fewer where all offsets are, at many
-# shifts.
-_FEW, _FEWEST = 100, 25
+# Where all offsets are tried at many shifts, so many of a part's blocks are looked at.
+_FEWEST = 25
 # By how much likelier than no code, or another one, a frame's largest parts must be to show it (natural logarithm), or
-# less likely not to; and how much that may count for other parts: where the rig has been turned a part of the picture
-# may lie elsewhere. It is plain to see where it is likelier by so much a block.
+# its largest one not to; and how much that may count for other parts: where the rig has been turned a part of the
+# picture may lie elsewhere. It is plain to see where it is likelier by so much a block.
 _SHOWN, _MOST_TRUST, _PLAIN = 6.0, 12.0, 0.25
 # A factor changes from surface to surface of a part: of parts of more blocks than this, what is left of it in so many
 # blocks and rows of patches around each is taken off, averaged over blocks of the same class of brightness and the
@@ -341,9 +340,9 @@ class CodeReader:
         return [self.read(own) for own in self.blocks_of(parts)]
 
     def learn(self) -> bool | None:
-        """Take response, usual factor and shift from the frame's largest parts, and say if they show the code.
+        """Take response, usual factor and shift from the frame's largest parts, and say if it shows the code.
 
-        None: they are too small to say.
+        None: nothing tells.
         """
         largest = self._largest()
         if not largest:
@@ -351,7 +350,7 @@ class CodeReader:
         # The likeliest offsets hardly depend on the response, nor on a small shift.
         gammas, tried, parts = np.repeat(np.arange(len(GAMMAS)), _NAMED), [], [self._part(some) for some in largest]
         for part in parts:
-            few = _thinned(part.values, _FEW)
+            few = _thinned(part.values, _SOME)
             likelihood = self._fit(few, part.offsets).likelihood
             likeliest = np.resize(part.offsets[np.argsort(likelihood)[-_NAMED:]], _NAMED)
             named = np.tile(likeliest, len(GAMMAS))
@@ -364,17 +363,16 @@ class CodeReader:
         self._move(0.0 if self.is_far else self.shift_px)
         if not self.is_far:
             self._each_counts = self._independence(largest, [int(offset) for offset, _ in found])
-        more, weighed = 0.0, 0
-        for some in largest:
-            read = self.read(some)
-            more += _log_sum(read.likelihood) - np.log(len(read.likelihood)) - read.no_code(0.0)
-            weighed += min(len(some), _MANY)
-        self.is_plain = more > _PLAIN * weighed
+        each = [_log_mean(read.likelihood) - read.no_code(0.0) for read in map(self.read, largest)]
+        more = float(_of_parts(np.array(each)).sum())
+        self.is_plain = more > _PLAIN * sum(min(len(some), _MANY) for some in largest)
         self.trust = min(max(more, 0.0), _MOST_TRUST)
-        if more <= _SHOWN and not self.is_far:  # nor is it known where it lies
+        if more > _SHOWN:
+            return True
+        if not self.is_far:  # nor is it known where it lies
             self._move(-self.shift_px)
             self.shift_px = 0.0
-        return None if abs(more) <= _SHOWN else bool(more > 0)
+        return False if each[-1] < -_SHOWN else None
 
     def _largest(self) -> list[Integers]:
         """Return the blocks of the largest parts."""
@@ -429,7 +427,7 @@ class CodeReader:
         shifts, own = np.arange(-0.5, 0.5, 0.25 / WORD_CELLS) * self.code.repeats_px, self._gamma
         totals, counts, self._each_counts = np.zeros((2, len(shifts))), self._each_counts, 1.0
         for some in self._largest():
-            few, offsets = _thinned(self._part(some).values, _FEW), self.offsets(some)
+            few, offsets = _thinned(self._part(some).values, _SOME), self.offsets(some)
             # The likeliest offsets hardly depend on the response.
             each, further = np.repeat(offsets, len(shifts)), np.tile(shifts, len(offsets))
             likelihood = self._fit(_thinned(few, _FEWEST), each, shifts_px=further).likelihood
@@ -438,7 +436,7 @@ class CodeReader:
                 likelihood = self._fit(few, named.ravel(), shifts_px=np.tile(shifts, len(named))).likelihood
                 by_shift = np.logaddexp.reduce(likelihood.reshape(named.shape), axis=0)
                 even, other, *_ = self._fit_with_even(few, offsets[:0])
-                total += by_shift - np.log(len(offsets)) - np.logaddexp(even, other)
+                total += _of_parts(by_shift - np.log(len(offsets)) - np.logaddexp(even, other))
             self._gamma = own
         total, self._each_counts = totals[totals.max(axis=1).argmax()], counts
         off = np.abs(shifts - shifts[total.argmax()])
@@ -492,3 +490,12 @@ def _peak(places: FloatArray, values: FloatArray) -> float:
 def _log_sum(logarithms: FloatArray) -> float:
     top = float(logarithms.max())
     return top + float(np.log(np.exp(logarithms - top).sum()))
+
+
+def _log_mean(logarithms: FloatArray) -> float:
+    return _log_sum(logarithms) - float(np.log(len(logarithms)))
+
+
+def _of_parts(more: FloatArray) -> FloatArray:
+    """Return by how much likelier a frame shows the code from how much likelier its parts do: some parts do not."""
+    return np.asarray(np.logaddexp(np.log(1 - _NO_CODE) + more, np.log(_NO_CODE)))
