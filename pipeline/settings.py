@@ -4,11 +4,14 @@ import tomllib
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
+from hardware.settings import FieldSettings
 from pipeline.errors import SettingsError
-from pipeline.models import ArrayOf, CameraState, CodeChoice, FloatArray, Matrix3, Model, build, read_file
+from pipeline.models import CameraState, CodeChoice, Matrix3, Model, build, read_file
 from tikernels.errors import ShapeError
+from tikernels.phase.color_fields import ColorFields
 from tikernels.phase.crosstalk import invert_crosstalk
 from tikernels.phase.frame_statistics import MIN_PERIOD_PX
 from tikernels.phase.smoothing import MAX_SMOOTHING_PX
@@ -18,9 +21,36 @@ _MAX_PERIOD_PX = 10_000
 # Up to here float32 counts every level; and floats from 0 to 1 may have been scaled down, but not to where their
 # noise's squares are too small for it.
 _MIN_WHITE, _MAX_WHITE = 2.0**-10, float(2**24)
-# Colours of one picture lie within a cycle of the projector, which is a few frames of the fastest cameras.
-_MOST_FRAMES_APART = 10.0
+# An hour, as in `hardware.settings`.
+_LONGEST_S = 3600.0
 _Level = Annotated[float, Field(ge=0, le=_MAX_WHITE)]
+
+
+class FieldTimes(Model):
+    """A projector that shows red, green and blue one after another, before a camera that exposes whole cycles."""
+
+    model_config = ConfigDict(use_attribute_docstrings=True)
+
+    frame_s: Annotated[float, Field(gt=0, le=_LONGEST_S)]
+    """From one frame to the next."""
+    cycle_s: Annotated[float, Field(gt=0, le=_LONGEST_S)]
+    """How long red, green and blue take together."""
+    shown: FieldSettings | None = None
+    """When each of them is on; None: a third of a cycle each, in an order that the frames show or not."""
+
+    @model_validator(mode="after")
+    def _check(self) -> "FieldTimes":
+        if self.shown is not None:
+            self.shown.check_cycle(self.cycle_s)
+        return self
+
+    def in_cycles(self, readout_s: float) -> ColorFields:
+        """Return it as decoding uses it."""
+        cycle, readout = self.cycle_s / self.frame_s, readout_s / self.cycle_s
+        if self.shown is None:
+            return ColorFields(cycle, readout)
+        shown = np.array([self.shown.red_s, self.shown.green_s, self.shown.blue_s]) / self.cycle_s
+        return ColorFields(cycle, readout, shown, 0.0 if self.shown.locked else None)
 
 
 def _odd_or_zero(value: int) -> int:
@@ -65,9 +95,12 @@ class DecodeSettings(Model):
     """The pattern's code, by which orders become absolute. "contrast": the modulation of each cycle shows which one it
     is, as in what `colorphase pattern` makes; "contrast2": that of its cells, as wide as in the calibration's pattern;
     "none": the pattern is plain. None: the calibration's pattern has one, or the first frame with fringes shows it."""
-    field_times: Annotated[FloatArray, ArrayOf((3,), _MOST_FRAMES_APART)] | None = None
-    """When the projector shows red, green and blue where it shows them one after another: the middle of each, in times
-    from frame to frame. Then `previous` tells what moved in between. None: all at once."""
+    fields: FieldTimes | None = None
+    """How the projector shows red, green and blue where it shows them one after another. Then `previous` tells what
+    moved in between, and, unless `fields.shown.locked`, when each exposure began. None: all at once."""
+    readout_s: Annotated[float, Field(ge=0, le=_LONGEST_S)] = 0.0
+    """From the first row's exposure to the last one's, of a camera with a rolling shutter: what moves is where it was
+    in the middle of its own row's exposure; 0: all rows at once."""
     noise: tuple[_Level, _Level] | None = None
     """Read noise's standard deviation s and gain g, in grey levels: a channel's variance is s^2 + g times its level.
     None: estimated from the frame."""

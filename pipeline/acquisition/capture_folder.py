@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tomlkit
 
 from hardware.errors import CameraError
 from hardware.protocols import FrameFormat
@@ -26,7 +27,7 @@ from pipeline.footage.zarr_recording import MOST_FRAMES_A_SECOND
 from pipeline.limits import read_plain
 from pipeline.models import SensorPart
 from pipeline.recording.recorder import Recorder
-from pipeline.settings import DecodeSettings
+from pipeline.settings import DecodeSettings, FieldTimes
 from tikernels.raw.pixel_format import PixelFormat
 
 #: What a capture's folder holds.
@@ -148,10 +149,13 @@ class CaptureFolder:
         try:
             if calibration is not None:
                 calibration.write(folder / CALIBRATION)
-            fields = rig.settings.projector.fields
-            if fields is not None:
-                times = [time_s / self._period_s for time_s in (fields.red_s, fields.green_s, fields.blue_s)]
-                write_atomically(folder / SETTINGS, f"field_times = {times}\n".encode())
+            camera, projector = rig.settings.camera, rig.settings.projector
+            fields = None
+            if projector.colour_cycle_s is not None:
+                fields = FieldTimes(frame_s=self._period_s, cycle_s=projector.colour_cycle_s, shown=projector.fields)
+            seen = DecodeSettings(readout_s=camera.readout_s, fields=fields)
+            if told := seen.model_dump(mode="json", exclude_defaults=True):
+                write_atomically(folder / SETTINGS, tomlkit.dumps(told).encode())
             self._log = CaptureLog(folder / LOG)
             self._log.say(
                 "start",

@@ -5,6 +5,7 @@ import threading
 import cv2
 import numpy as np
 import pytest
+from support.exposures_off_cycle import FIELDS
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import pipeline
@@ -392,8 +393,8 @@ def test_motion_between_colours_in_turns_is_undone():
     moves = np.abs(rest.phase - photograph(0.0).phase) > 0.2
     ball = cv2.erode(moves.astype(np.uint8), np.ones((15, 15))) > 0
     errors = []
-    for times in (None, (1 / 6, 1 / 2, 5 / 6)):
-        decoder, seen = Decoder(DecodeSettings(field_times=times), rig, arch="cpu"), None
+    for fields in (None, FIELDS):
+        decoder, seen = Decoder(DecodeSettings(fields=fields), rig, arch="cpu"), None
         for image in film:
             seen = decoder.decode(image, previous=seen)
         error = np.angle(np.exp(1j * (seen.wrapped_phase - truth.wrapped_phase)))[ball & seen.mask & truth.mask]
