@@ -97,8 +97,9 @@ class CameraSettings(_Section):
     exposure_s: Positive
     """How long each frame is exposed; a whole number of colour cycles where the projector shows colours one after
     another."""
-    readout_s: NonNegative = 0.0
-    """From the first row's exposure to the last one's, of a rolling shutter; 0: a global one, or not known."""
+    row_s: NonNegative = 0.0
+    """From one row's exposure to the next one's, of a rolling shutter (data sheets: line time); 0: a global one, or not
+    known."""
     gain_db: Annotated[float, Field(ge=0, le=_MOST_GAIN_DB)] = 0.0
     """Amplification: noise grows with it, so light and aperture come first."""
     pixel_format: str | None = None

@@ -114,7 +114,7 @@ class Decoder:
         self._expected = None if geometry is None else ExpectedFringe.of(geometry, depth_range_mm)
         self._given = None if unwrapper is None else GivenRegions(unwrapper)
         fields = self.settings.fields
-        self._fields = None if fields is None else fields.in_cycles(self.settings.readout_s)
+        self._fields = None if fields is None else fields.in_cycles(self.settings.row_s)
         self._pool = BufferPool()
         self._workspace: Workspace | None = None
         self.arch = runtime.init(arch)

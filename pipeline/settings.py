@@ -44,13 +44,13 @@ class FieldTimes(Model):
             self.shown.check_cycle(self.cycle_s)
         return self
 
-    def in_cycles(self, readout_s: float) -> ColorFields:
+    def in_cycles(self, row_s: float) -> ColorFields:
         """Return it as decoding uses it."""
-        cycle, readout = self.cycle_s / self.frame_s, readout_s / self.cycle_s
+        cycle, row = self.cycle_s / self.frame_s, row_s / self.cycle_s
         if self.shown is None:
-            return ColorFields(cycle, readout)
+            return ColorFields(cycle, row)
         shown = np.array([self.shown.red_s, self.shown.green_s, self.shown.blue_s]) / self.cycle_s
-        return ColorFields(cycle, readout, shown, 0.0 if self.shown.locked else None)
+        return ColorFields(cycle, row, shown, 0.0 if self.shown.locked else None)
 
 
 def _odd_or_zero(value: int) -> int:
@@ -98,9 +98,9 @@ class DecodeSettings(Model):
     fields: FieldTimes | None = None
     """How the projector shows red, green and blue where it shows them one after another. Then `previous` tells what
     moved in between, and, unless `fields.shown.locked`, when each exposure began. None: all at once."""
-    readout_s: Annotated[float, Field(ge=0, le=_LONGEST_S)] = 0.0
-    """From the first row's exposure to the last one's, of a camera with a rolling shutter: what moves is where it was
-    in the middle of its own row's exposure; 0: all rows at once."""
+    row_s: Annotated[float, Field(ge=0, le=_LONGEST_S)] = 0.0
+    """From one row's exposure to the next one's, of a camera with a rolling shutter: what moves is measured where it
+    was in the middle of its own row's exposure; 0: all rows at once, or not known."""
     noise: tuple[_Level, _Level] | None = None
     """Read noise's standard deviation s and gain g, in grey levels: a channel's variance is s^2 + g times its level.
     None: estimated from the frame."""

@@ -153,7 +153,7 @@ class CaptureFolder:
             fields = None
             if projector.colour_cycle_s is not None:
                 fields = FieldTimes(frame_s=self._period_s, cycle_s=projector.colour_cycle_s, shown=projector.fields)
-            seen = DecodeSettings(readout_s=camera.readout_s, fields=fields)
+            seen = DecodeSettings(row_s=camera.row_s, fields=fields)
             if told := seen.model_dump(mode="json", exclude_defaults=True):
                 write_atomically(folder / SETTINGS, tomlkit.dumps(told).encode())
             self._log = CaptureLog(folder / LOG)

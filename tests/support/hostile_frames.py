@@ -72,7 +72,7 @@ def hostile_settings(rng: np.random.Generator) -> dict[str, Any]:
         "smoothing_px": lambda: int(rng.choice([0, 1, 3, 7, 15])),
         "code": lambda: "contrast",
         "fields": lambda: {"frame_s": extreme(), "cycle_s": extreme()},
-        "readout_s": extreme,
+        "row_s": extreme,
         "noise": lambda: [extreme(), extreme()],
         "white_level": extreme,
         "min_intensity": extreme,

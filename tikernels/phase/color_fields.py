@@ -42,8 +42,8 @@ class ColorFields:
 
     cycle: float
     """Length of a colour cycle, in times from frame to frame."""
-    readout: float = 0.0
-    """From the first row's exposure to the last one's, in cycles."""
+    row: float = 0.0
+    """From one row's exposure to the next one's, in cycles; 0: all rows at once."""
     shown: Floats | None = None
     """(3, 2) cycles, when red, green and blue go on and off; None: a third of a cycle each, in either order."""
     start: float | None = None
@@ -59,7 +59,7 @@ class ColorFields:
     def times(self, rows: int) -> Floats:
         """Return (hypotheses, rows, 3) when colours are seen, after the middle of a row's exposure, frame to frame."""
         shown, starts = self._hypotheses
-        exposed = starts[:, None] + self.readout * np.arange(rows) / rows
+        exposed = starts[:, None] + self.row * np.arange(rows)
         share = np.diff(shown)[:, None, None, :, 0]
         after = (exposed[..., None] - shown.mean(axis=-1)[:, None, None] + 0.5) % 1 - 0.5
         split = after * (1 / share - 1)
@@ -78,8 +78,8 @@ class ColorFields:
         expected = np.maximum(np.fft.irfft(spectrum, len(starts)), 0).ravel()
         return np.asarray(_CUT * even + (1 - _CUT) * expected / expected.sum())
 
-    def found_order(self, shares: Floats) -> str | None:
-        """Return "RGB" or "RBG" where the order was unknown, and the hypotheses' probabilities make it clear."""
+    def found_order(self, shares: Floats, rows: int) -> str | None:
+        """Return "RGB" or "RBG" where the order is not stated, and probabilities, by so many rows, make it clear."""
         orders = shares.reshape(len(self._hypotheses[0]), -1).sum(axis=1)
-        clear = self.shown is None and self.readout > _RUN and orders.max() > _CLEAR
+        clear = self.shown is None and self.row * rows > _RUN and orders.max() > _CLEAR
         return ("RGB", "RBG")[int(orders.argmax())] if clear else None

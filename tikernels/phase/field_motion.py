@@ -148,7 +148,7 @@ def measure_motion(
     change = np.where(told & filled, change, np.nan).astype(np.float32)
     everywhere = np.asarray(cv2.resize(change, now.shape[::-1], interpolation=cv2.INTER_NEAREST), np.float32)
     too_fast = float(share[filled & ~told].sum()) / max(float(share[filled].sum()), TINY)
-    rows = 1 if fields.readout == 0 else now.shape[1 if rows_last else 0]
+    rows = 1 if fields.row == 0 else now.shape[1 if rows_last else 0]
     times = np.expand_dims(fields.times(rows), 1 if rows_last else 2)
     expected = fields.expect(shares)
     if len(expected) > 1:

@@ -58,14 +58,14 @@ class Shutter:
     start_s: float = 0.0  # of the first exposure, after the start of a red field
     drift: float = 0.0  # by which part of itself a frame's time is longer by the projector's clock
 
-    def settings(self, stripes: str) -> DecodeSettings:
+    def settings(self, stripes: str, height: int) -> DecodeSettings:
         """Return what a rig file says of it."""
         fields: dict[str, object] | None = None
         if self.cycle_s is not None:
             third = self.cycle_s / 3
             shown = {f"{name}_s": (k * third, (k + 1) * third) for k, name in enumerate(("red", "green", "blue"))}
             fields = {"frame_s": self.frame_s, "cycle_s": self.cycle_s, "shown": shown}
-        return DecodeSettings.of(stripes=stripes, readout_s=self.readout_s, fields=fields)
+        return DecodeSettings.of(stripes=stripes, row_s=self.readout_s / height, fields=fields)
 
     def row_starts(self, number: int, height: int) -> F64:
         """Return when the rows of a frame begin to be exposed, s."""

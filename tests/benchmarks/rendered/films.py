@@ -184,7 +184,9 @@ def judge(filming: Filming, frames: int, folder: Path | None) -> Verdict:
     decoder: Decoder | None = None
     frame: DecodedFrame | None = None
     for number, drawn in enumerate(drawn_frames(filming, frames, folder)):
-        image, settings = delivered(rig, drawn.levels, filming.shutter.settings(stripes), calibration)
+        image, settings = delivered(
+            rig, drawn.levels, filming.shutter.settings(stripes, len(drawn.levels)), calibration
+        )
         decoder = decoder or Decoder(settings, calibration, arch="cpu")
         start = time.process_time()
         frame = decoder.decode(image, previous=frame)

@@ -63,7 +63,7 @@ def decoded(image, calibration=None, previous=None, **settings):
 
 
 #: Settings of colours one after another, in an unknown order, before a rolling shutter.
-FREE = {"fields": {"frame_s": 1 / 30, "cycle_s": 1 / 60}, "readout_s": 0.02}
+FREE = {"fields": {"frame_s": 1 / 30, "cycle_s": 1 / 60}, "row_s": 0.02 / 240}
 
 
 def rest():
@@ -78,7 +78,7 @@ def rolling():
     """Return a frame whose colours a rolling shutter sees as they come nearer by 8 mm from frame to frame."""
     times = np.linspace(-1 / 6, 1 / 6, 9)
     positions = np.stack([moving(-8.0 * (1 + time)) for time in times])
-    seen = ColorFields(0.5, 1.2).times(240)[5]
+    seen = ColorFields(0.5, 1.2 / 240).times(240)[5]
     nearest = np.abs(seen[..., None] - times).argmin(axis=-1)
     return np.stack([positions[nearest[:, k], np.arange(240), :, k] for k in range(3)], axis=-1)
 

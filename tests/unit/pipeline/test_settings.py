@@ -28,7 +28,7 @@ def test_settings_from_toml(tmp_path):
         ("noise = [1e300, 0.0]", "noise.0: must be a number from 0 to 16777216, got 1e\\+300"),
         ("min_modulation = 1e39", "min_modulation"),
         ("fields = {frame_s = 1, cycle_s = 1e9}", "fields.cycle_s: must be a number above 0 and at most 3600"),
-        ("readout_s = -1", "readout_s: must be a number from 0 to 3600"),
+        ("row_s = -1", "row_s: must be a number from 0 to 3600"),
         ("a = [", "not what it should be"),
     ],
 )

@@ -26,8 +26,8 @@ def test_mean_times_are_those_of_all_instants(shown, cycles):
 
 
 def test_rows_are_exposed_one_after_another():
-    (times,) = ColorFields(0.5, 1.2, THIRDS, start=0.1).times(600)
-    (later,) = ColorFields(0.5, shown=THIRDS, start=0.1 + 1.2 * 350 / 600).times(1)
+    (times,) = ColorFields(0.5, 0.002, THIRDS, start=0.1).times(600)
+    (later,) = ColorFields(0.5, shown=THIRDS, start=0.1 + 0.002 * 350).times(1)
     np.testing.assert_allclose(times[350], later[0])
 
 
@@ -45,8 +45,8 @@ def test_a_start_moves_by_a_frame_and_strays():
 def test_a_known_order_is_not_found_and_a_locked_start_stays():
     fields = ColorFields(0.5, shown=THIRDS, start=0.2)
     assert fields.expect(None).tolist() == [1.0]
-    assert fields.found_order(np.ones(1)) is None
-    unknown = ColorFields(0.5, readout=1.2)
-    assert unknown.found_order(unknown.expect(None)) is None
-    assert unknown.found_order(np.repeat([0.0, 1 / 64], 64)) == "RBG"
-    assert ColorFields(0.5).found_order(np.repeat([0.0, 1 / 64], 64)) is None
+    assert fields.found_order(np.ones(1), 600) is None
+    unknown = ColorFields(0.5, row=0.002)
+    assert unknown.found_order(unknown.expect(None), 600) is None
+    assert unknown.found_order(np.repeat([0.0, 1 / 64], 64), 600) == "RBG"
+    assert unknown.found_order(np.repeat([0.0, 1 / 64], 64), 100) is None

@@ -119,7 +119,7 @@ def seen_phase(fields: ColorFields, moved: float, hypothesis: int) -> tuple[np.n
 @pytest.mark.parametrize("start", [3, 20, 41, 62])
 def test_the_start_of_an_exposure_is_found_and_its_rows(cpu, start):
     """A rolling shutter's rows see all of a cycle; 0.5 rad per frame, noise 0.05 rad."""
-    fields = ColorFields(0.5, readout=1.2, shown=THIRDS)
+    fields = ColorFields(0.5, row=1.2 / 360, shown=THIRDS)
     motion = measure_motion(*seen_phase(fields, 0.5, start), fields, None, PERIOD_PX)
     found = np.angle((motion.shares * np.exp(2j * np.pi * np.arange(64) / 64)).sum()) / (2 * np.pi)
     assert abs((found - start / 64 + 0.5) % 1 - 0.5) < 0.03
@@ -132,19 +132,19 @@ def test_the_start_of_an_exposure_is_found_and_its_rows(cpu, start):
 
 @pytest.mark.parametrize("order", ["RGB", "RBG"])
 def test_an_unknown_order_is_shown_by_the_rows(cpu, order):
-    fields, shares = ColorFields(0.5, readout=1.2), None
+    fields, shares = ColorFields(0.5, row=1.2 / 360), None
     seen = seen_phase(fields, 1.0, 20 + 64 * (order == "RBG"))
     for _ in range(3):
         shares = measure_motion(*seen, fields, shares, PERIOD_PX).shares
-    assert fields.found_order(shares) == order
+    assert fields.found_order(shares, 360) == order
 
 
 def test_of_what_holds_still_nothing_is_known_and_nothing_is_missing(cpu):
-    fields = ColorFields(0.5, readout=1.2)
+    fields = ColorFields(0.5, row=1.2 / 360)
     motion = measure_motion(*seen_phase(fields, 0.0, 0), fields, None, PERIOD_PX)
     assert motion.shares.max() < 1.1 / 128
     assert motion.unknown == 0
-    assert fields.found_order(motion.shares) is None
+    assert fields.found_order(motion.shares, 360) is None
     # The same times, while half of the surface moves: they are missed.
     moving = measure_motion(*seen_phase(fields, 0.0, 0)[:1], seen_phase(fields, 0.5, 0)[1], fields, None, PERIOD_PX)
     assert 0.3 < moving.unknown < 0.6
