@@ -25,14 +25,14 @@ SHAPE, PERIOD_PX = (180, 240), 12.3
 LEVELS = FrameLevels(255.0, 1.0, 0.0, 1.0, 5.0, 5.0)
 THIRDS = np.array([[0, 1], [1, 2], [2, 3]]) / 3
 FIELDS = ColorFields(0.9, shown=THIRDS, start=0.0)
-TIMES = np.array([-0.3, 0.0, 0.3])
+ROLLING = ColorFields(0.9, 1.0 / SHAPE[0], THIRDS, start=0.0)
 
 
-def photograph(moved: float) -> tuple[np.ndarray, np.ndarray]:
+def photograph(moved: float, fields: ColorFields = FIELDS) -> tuple[np.ndarray, np.ndarray]:
     """Return a frame of a plane whose left half moves by this phase a frame, and the phase when green is shown."""
     phase = reference.ramp(*SHAPE, PERIOD_PX, tilt=0.02)
     speed = np.where(np.arange(SHAPE[1]) < SHAPE[1] // 2, moved, 0.0)
-    each = phase[..., None] + speed[:, None] * TIMES + DELAYS
+    each = phase[..., None] + speed[:, None] * fields.times(SHAPE[0])[0][:, None] + DELAYS
     light = 0.5 + 0.5 * np.cos(each)
     return (180 * light @ MATRIX.T + 10).astype(np.float32), phase
 
@@ -60,11 +60,11 @@ def before_of(truth: np.ndarray, moved: float) -> np.ndarray:
     return then.astype(np.float32)
 
 
-def held_still(image: np.ndarray, truth: np.ndarray, crosstalk: Crosstalk, moved: float):
+def held_still(image: np.ndarray, truth: np.ndarray, crosstalk: Crosstalk, moved: float, fields: ColorFields = FIELDS):
     """Return what was measured, the phase before and after, and the image after."""
     model, fit = decode(image, crosstalk)
     first = runtime.to_host(fit.phase).copy()
-    motion = measure_motion(fit.phase, before_of(truth, moved), FIELDS, None, PERIOD_PX)
+    motion = measure_motion(fit.phase, before_of(truth, moved), fields, None, PERIOD_PX)
     still = hold_still(image, fit, motion, model, crosstalk, motion.lags(fit.modulation))
     return motion, [first, runtime.to_host(decode(still, crosstalk)[1].phase)], runtime.to_host(still)
 
@@ -83,6 +83,18 @@ def test_what_moves_between_the_colours_leaves_no_second_harmonic(arch, mixed):
     # All but the border between the halves, over which the change is averaged, is as if nothing had moved.
     error = (still - photograph(0.0)[0])[20:-20, 10:-10]
     assert np.sqrt((np.delete(error, np.s_[90:130], axis=1) ** 2).mean()) < 1.5
+
+
+def test_rows_that_are_exposed_one_after_another_have_their_own_times(cpu):
+    """All rows together see all of a cycle, so that the template has no motion in it."""
+    image, truth = photograph(0.4, ROLLING)
+    _, (before, after), still = held_still(image, truth, Crosstalk.of(MATRIX), 0.4, ROLLING)
+    moving = slice(20, -20), slice(10, 100)
+    first, left = (reference.wrapped_difference(phase, truth)[moving].std() for phase in (before, after))
+    assert first > 0.03
+    assert left < 0.3 * first
+    error = (still - photograph(0.0)[0])[moving]
+    assert np.sqrt((error**2).mean()) < 1.5
 
 
 def test_what_holds_still_stays(cpu):
@@ -105,28 +117,35 @@ def test_without_a_phase_or_a_change_nothing_is_added(cpu):
     assert np.abs(still - image).max() > 5
 
 
-def seen_phase(fields: ColorFields, moved: float, hypothesis: int) -> tuple[np.ndarray, np.ndarray]:
+def seen_phase(
+    fields: ColorFields, moved: float, hypothesis: int, *, rows_last: bool = False
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the phase of a plane whose left half moves, as a first fit sees it, and that of the frame before."""
-    height, width = 360, 320
+    height, width = 360, 360
     phase = reference.ramp(height, width, PERIOD_PX, tilt=0.02)
     speed = np.where(np.arange(width) < width // 2, moved, 0.0)
     turned = np.cos(2 * phase[..., None] + 2 * DELAYS)
-    error = -speed / 3 * np.einsum("yxj,yj->yx", turned, fields.times(height)[hypothesis])
+    times = np.expand_dims(fields.times(360)[hypothesis], 0 if rows_last else 1)
+    error = -speed / 3 * (turned * times).sum(axis=-1)
     noise = np.random.default_rng(5).normal(0, 0.05, phase.shape)
     return reference.wrapped(phase + error + noise).astype(np.float32), (phase - speed).astype(np.float32)
 
 
+@pytest.mark.parametrize("rows_last", [False, True])
 @pytest.mark.parametrize("start", [3, 20, 41, 62])
-def test_the_start_of_an_exposure_is_found_and_its_rows(cpu, start):
+def test_the_start_of_an_exposure_is_found_and_its_rows(cpu, start, rows_last):
     """A rolling shutter's rows see all of a cycle; 0.5 rad per frame, noise 0.05 rad."""
     fields = ColorFields(0.5, row=1.2 / 360, shown=THIRDS)
-    motion = measure_motion(*seen_phase(fields, 0.5, start), fields, None, PERIOD_PX)
+    seen = seen_phase(fields, 0.5, start, rows_last=rows_last)
+    motion = measure_motion(*seen, fields, None, PERIOD_PX, rows_last=rows_last)
     found = np.angle((motion.shares * np.exp(2j * np.pi * np.arange(64) / 64)).sum()) / (2 * np.pi)
     assert abs((found - start / 64 + 0.5) % 1 - 0.5) < 0.03
-    assert np.abs(motion.times[:, 0] - fields.times(360)[start]).max() < 0.05
+    assert motion.times.shape == ((1, 360, 3) if rows_last else (360, 1, 3))
+    assert np.abs(motion.times.reshape(360, 3) - fields.times(360)[start]).max() < 0.05
     assert motion.unknown == 0
     # What a frame has shown holds for the next one, a whole number of cycles later.
-    still = measure_motion(*seen_phase(fields, 0.0, start), fields, motion.shares, PERIOD_PX)
+    seen = seen_phase(fields, 0.0, start, rows_last=rows_last)
+    still = measure_motion(*seen, fields, motion.shares, PERIOD_PX, rows_last=rows_last)
     np.testing.assert_allclose(still.times, motion.times, atol=0.02)
 
 
