@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
+from hardware.colour_cycle import TOLERANCE
 from hardware.settings import FieldSettings
 from pipeline.errors import SettingsError
 from pipeline.models import CameraState, CodeChoice, Matrix3, Model, build, read_file
@@ -40,9 +41,21 @@ class FieldTimes(Model):
 
     @model_validator(mode="after")
     def _check(self) -> "FieldTimes":
+        if self.cycle_s > self.frame_s * (1 + TOLERANCE):
+            raise ValueError(
+                f"a colour cycle of {self.cycle_s:g} s is longer than a frame of {self.frame_s:g} s, whose exposure "
+                "cannot see all colours: take frames at a lower rate"
+            )
         if self.shown is not None:
             self.shown.check_cycle(self.cycle_s)
         return self
+
+    def for_frames(self, step: int, *, later_rows: bool) -> "FieldTimes":
+        """Return it for every nth frame; of rows that a rolling shutter exposes later, `locked` does not hold."""
+        shown = self.shown
+        if shown is not None and later_rows:
+            shown = shown.model_copy(update={"locked": False})
+        return self.model_copy(update={"frame_s": step * self.frame_s, "shown": shown})
 
     def in_cycles(self, row_s: float) -> ColorFields:
         """Return it as decoding uses it."""
@@ -100,7 +113,7 @@ class DecodeSettings(Model):
     moved in between, and, unless `fields.shown.locked`, when each exposure began. None: all at once."""
     row_s: Annotated[float, Field(ge=0, le=_LONGEST_S)] = 0.0
     """From one row's exposure to the next one's, of a camera with a rolling shutter: what moves is measured where it
-    was in the middle of its own row's exposure; 0: all rows at once, or not known."""
+    was in the middle of its own row's exposure. Pictures must not be turned. 0: all rows at once, or not known."""
     noise: tuple[_Level, _Level] | None = None
     """Read noise's standard deviation s and gain g, in grey levels: a channel's variance is s^2 + g times its level.
     None: estimated from the frame."""

@@ -213,7 +213,11 @@ class Job:
 
     def decoder(self) -> Decoder:
         """Return a decoder of such frames."""
-        return Decoder(self.settings, self._calibration_of_part(), arch=self.arch)
+        fields, part = self.settings.fields, self.crop is not None and self.crop.y > 0
+        if fields is not None:
+            fields = fields.for_frames(self.step, later_rows=part and self.settings.row_s > 0)
+        settings = self.settings.model_copy(update={"fields": fields})
+        return Decoder(settings, self._calibration_of_part(), arch=self.arch)
 
     def _calibration_of(self, source: Source) -> Calibration | None:
         """Return the calibration of the footage's whole frames; see `Calibration.as_read_out`."""

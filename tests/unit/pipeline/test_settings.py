@@ -1,5 +1,6 @@
 """Settings from a file: each mistake is one line that names the key."""
 
+import numpy as np
 import pytest
 
 from pipeline import DecodeSettings
@@ -28,6 +29,15 @@ def test_settings_from_toml(tmp_path):
         ("noise = [1e300, 0.0]", "noise.0: must be a number from 0 to 16777216, got 1e\\+300"),
         ("min_modulation = 1e39", "min_modulation"),
         ("fields = {frame_s = 1, cycle_s = 1e9}", "fields.cycle_s: must be a number above 0 and at most 3600"),
+        ("fields = {frame_s = 0.01, cycle_s = 0.016}", "fields: a colour cycle of 0.016 s is longer than a frame"),
+        (
+            "fields = {frame_s = 1, cycle_s = 1, shown = {red_s = [0, 0.4], green_s = [0.3, 0.6], blue_s = [0.6, 1]}}",
+            "fields.shown: two colours are on at the same time: a white, yellow or cyan segment",
+        ),
+        (
+            "fields = {frame_s=1, cycle_s = 0.5, shown = {red_s = [0, 0.3], green_s = [0.3, 0.6], blue_s = [0.7, 1]}}",
+            "fields: the colours take 1 s, but a cycle of all of them only 0.5 s",
+        ),
         ("row_s = -1", "row_s: must be a number from 0 to 3600"),
         ("a = [", "not what it should be"),
     ],
@@ -37,3 +47,13 @@ def test_wrong_settings_are_refused_by_their_key(tmp_path, text, message):
     path.write_text(text)
     with pytest.raises(SettingsError, match=message):
         DecodeSettings.read(path)
+
+
+def test_fields_of_a_part_of_the_frames():
+    """Every third frame, and rows that are exposed later than the start of the cycle."""
+    shown = {"red_s": (0, 0.1), "green_s": (0.1, 0.2), "blue_s": (0.2, 0.3), "locked": True}
+    fields = DecodeSettings.of(fields={"frame_s": 0.5, "cycle_s": 0.3, "shown": shown}).fields
+    third = fields.for_frames(3, later_rows=False).in_cycles(0.003)
+    assert (third.cycle, third.row, third.start) == (pytest.approx(0.2), pytest.approx(0.01), 0.0)
+    np.testing.assert_allclose(third.shown, [[0, 1 / 3], [1 / 3, 2 / 3], [2 / 3, 1]])
+    assert fields.for_frames(1, later_rows=True).in_cycles(0.003).start is None
