@@ -126,7 +126,11 @@ class Decoder:
         return f"Decoder(arch={self.arch!r}, stripes={self.settings.stripes!r}, {calibrated})"
 
     def decode(
-        self, image: LevelsImage, previous: DecodedFrame | None = None, out: DecodedFrame | None = None
+        self,
+        image: LevelsImage,
+        previous: DecodedFrame | None = None,
+        out: DecodedFrame | None = None,
+        elapsed: float = 1.0,
     ) -> DecodedFrame:
         """Decode one frame.
 
@@ -144,6 +148,9 @@ class Decoder:
             of it again starts afresh, with a `DecodeWarning`.
         out : DecodedFrame, optional
             An earlier result of the same size, whose arrays are used again: what was read from it changes.
+        elapsed : float
+            Time since `previous`, in times from frame to frame: 2 after a frame that was dropped. It matters where
+            colours come one after another (`DecodeSettings.fields`).
 
         Returns
         -------
@@ -157,7 +164,7 @@ class Decoder:
         CalibrationError
             The calibration is for another image size.
         SettingsError
-            `previous` was decoded with stripes the other way.
+            `previous` was decoded with stripes the other way, or `elapsed` is not above 0.
         FootageError
             The image holds NaN, or values outside 0..white level.
         DeviceNotReady
@@ -166,7 +173,7 @@ class Decoder:
         with runtime.lock, one_thread():
             runtime.require(self.arch)
             frame = self._reader.read(image)  # linear light, colours aligned, stripes along the rows
-            memory = None if previous is None else previous.memory.checked(frame.shape, self._setup.stripes)
+            memory = None if previous is None else previous.memory.checked(frame.shape, self._setup.stripes, elapsed)
             if out is None:
                 buffers = self._pool.lend(frame.shape, points=self._setup.rays is not None)
             else:
@@ -409,9 +416,10 @@ class Decoder:
 
         By a first look at the phase, and the frame before.
         """
-        fields, known, model = self._fields, self._light, work.model
-        if fields is None or memory is None:
+        known, model = self._light, work.model
+        if self._fields is None or memory is None:
             return frame.image, None
+        fields = replace(self._fields, cycle=self._fields.cycle / memory.elapsed)
         light = known.fit(frame.image, levels, model, before=memory.surfaces)
         fit = fit_phase(frame.image, model, light.crosstalk, levels, light.correction, known.contrast_doubt)
         before, rows_last = memory.surface.unwrapped, self._setup.stripes == "vertical"

@@ -50,12 +50,10 @@ class FieldTimes(Model):
             self.shown.check_cycle(self.cycle_s)
         return self
 
-    def for_frames(self, step: int, *, later_rows: bool) -> "FieldTimes":
-        """Return it for every nth frame; of rows that a rolling shutter exposes later, `locked` does not hold."""
-        shown = self.shown
-        if shown is not None and later_rows:
-            shown = shown.model_copy(update={"locked": False})
-        return self.model_copy(update={"frame_s": step * self.frame_s, "shown": shown})
+    def unlocked(self) -> "FieldTimes":
+        """Return it with the start of exposures unknown."""
+        shown = None if self.shown is None else self.shown.model_copy(update={"locked": False})
+        return self.model_copy(update={"shown": shown})
 
     def in_cycles(self, row_s: float) -> ColorFields:
         """Return it as decoding uses it."""

@@ -213,10 +213,9 @@ class Job:
 
     def decoder(self) -> Decoder:
         """Return a decoder of such frames."""
-        fields, part = self.settings.fields, self.crop is not None and self.crop.y > 0
-        if fields is not None:
-            fields = fields.for_frames(self.step, later_rows=part and self.settings.row_s > 0)
-        settings = self.settings.model_copy(update={"fields": fields})
+        settings = self.settings
+        if settings.fields is not None and settings.row_s > 0 and self.crop is not None and self.crop.y > 0:
+            settings = settings.model_copy(update={"fields": settings.fields.unlocked()})  # these rows start later
         return Decoder(settings, self._calibration_of_part(), arch=self.arch)
 
     def _calibration_of(self, source: Source) -> Calibration | None:

@@ -91,22 +91,25 @@ class FrameMemory:
     orders: RegionOrders
     surfaces: FoundSurfaces | OnlyColor | None  # what surfaces make of the crosstalk; None: nothing
     fields: npt.NDArray[np.float64] | None  # see `FieldMotion.shares`; None: nothing is known of the colours' times
+    elapsed: float = 1.0  # time since that frame, in times from frame to frame
 
-    def checked(self, shape: tuple[int, int], stripes: str) -> "FrameMemory":
-        """Return this memory, for a frame whose image has a shape with its stripes along the rows.
+    def checked(self, shape: tuple[int, int], stripes: str, elapsed: float) -> "FrameMemory":
+        """Return this memory some time later, for a frame whose image has a shape with its stripes along the rows.
 
         Raises
         ------
         SettingsError, ShapeError
-            The frame before had other stripes, or another size.
+            The frame before had other stripes, or another size, or was no frame before.
         """
+        if not elapsed > 0:
+            raise SettingsError(f"elapsed is {elapsed:g}: it must be above 0, from the frame before to this one")
         if self.stripes != stripes:
             raise SettingsError(f"stripes are {stripes}, those of the frame before were not: leave previous away")
         before = self.surface.mask.shape
         if before != shape:
             turn = -1 if stripes == "vertical" else 1
             raise ShapeError(f"frame is {size_text(shape[::turn])} but the one before is {size_text(before[::turn])}")
-        return self
+        return replace(self, elapsed=elapsed)
 
 
 @dataclass(frozen=True, eq=False)

@@ -49,11 +49,10 @@ def test_wrong_settings_are_refused_by_their_key(tmp_path, text, message):
         DecodeSettings.read(path)
 
 
-def test_fields_of_a_part_of_the_frames():
-    """Every third frame, and rows that are exposed later than the start of the cycle."""
+def test_fields_in_cycles_and_frames():
     shown = {"red_s": (0, 0.1), "green_s": (0.1, 0.2), "blue_s": (0.2, 0.3), "locked": True}
-    fields = DecodeSettings.of(fields={"frame_s": 0.5, "cycle_s": 0.3, "shown": shown}).fields
-    third = fields.for_frames(3, later_rows=False).in_cycles(0.003)
-    assert (third.cycle, third.row, third.start) == (pytest.approx(0.2), pytest.approx(0.01), 0.0)
-    np.testing.assert_allclose(third.shown, [[0, 1 / 3], [1 / 3, 2 / 3], [2 / 3, 1]])
-    assert fields.for_frames(1, later_rows=True).in_cycles(0.003).start is None
+    told = DecodeSettings.of(fields={"frame_s": 0.5, "cycle_s": 0.3, "shown": shown}).fields
+    fields = told.in_cycles(0.003)
+    assert (fields.cycle, fields.row, fields.start) == (pytest.approx(0.6), pytest.approx(0.01), 0.0)
+    np.testing.assert_allclose(fields.shown, [[0, 1 / 3], [1 / 3, 2 / 3], [2 / 3, 1]])
+    assert told.unlocked().in_cycles(0.003).start is None
