@@ -1,16 +1,14 @@
 """How a frame is decoded."""
 
 import tomllib
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Literal
 
-import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
-from hardware.colour_cycle import TOLERANCE
-from hardware.settings import FieldSettings
 from pipeline.errors import SettingsError
-from pipeline.models import CameraState, CodeChoice, Matrix3, Model, build, read_file
+from pipeline.models import ArrayOf, CameraState, CodeChoice, FloatArray, Matrix3, Model, build, read_file
 from tikernels.errors import ShapeError
 from tikernels.phase.color_fields import ColorFields
 from tikernels.phase.crosstalk import invert_crosstalk
@@ -22,8 +20,8 @@ _MAX_PERIOD_PX = 10_000
 # Up to here float32 counts every level; and floats from 0 to 1 may have been scaled down, but not to where their
 # noise's squares are too small for it.
 _MIN_WHITE, _MAX_WHITE = 2.0**-10, float(2**24)
-# An hour, as in `hardware.settings`.
-_LONGEST_S = 3600.0
+# An hour, as in `hardware.settings`; and by how much times may miss each other, as in `hardware.colour_cycle`.
+_LONGEST_S, _OFF = 3600.0, 0.002
 _Level = Annotated[float, Field(ge=0, le=_MAX_WHITE)]
 
 
@@ -36,32 +34,38 @@ class FieldTimes(Model):
     """From one frame to the next."""
     cycle_s: Annotated[float, Field(gt=0, le=_LONGEST_S)]
     """How long red, green and blue take together."""
-    shown: FieldSettings | None = None
-    """When each of them is on; None: a third of a cycle each, in an order that the frames show or not."""
+    shown_s: Annotated[FloatArray, ArrayOf((3, 2), _LONGEST_S)] | None = None
+    """From when to when red, green and blue are on in a cycle; None: a third of it each, in an order that the frames
+    show or not."""
+    locked: bool = False
+    """Whether every exposure starts with a cycle; false: it is found in each frame where it does."""
 
     @model_validator(mode="after")
     def _check(self) -> "FieldTimes":
-        if self.cycle_s > self.frame_s * (1 + TOLERANCE):
+        if self.cycle_s > self.frame_s * (1 + _OFF):
             raise ValueError(
                 f"a colour cycle of {self.cycle_s:g} s is longer than a frame of {self.frame_s:g} s, whose exposure "
                 "cannot see all colours: take frames at a lower rate"
             )
-        if self.shown is not None:
-            self.shown.check_cycle(self.cycle_s)
+        if self.shown_s is None:
+            if self.locked:
+                raise ValueError("locked needs shown_s, when each colour is on after the start of an exposure")
+            return self
+        turns = sorted(self.shown_s.tolist())
+        if any(on >= off for on, off in turns) or turns[-1][1] - turns[0][0] > self.cycle_s * (1 + _OFF):
+            raise ValueError(f"each colour must go on before it goes off, and all within {self.cycle_s:g} s")
+        if any(off > on for (_, off), (on, _) in pairwise(turns)):
+            raise ValueError(
+                "two colours are on at the same time: a white, yellow or cyan segment belongs to no colour, and its "
+                "motion cannot be undone: switch it off in the projector's menu (BrilliantColor, white boost)"
+            )
         return self
-
-    def unlocked(self) -> "FieldTimes":
-        """Return it with the start of exposures unknown."""
-        shown = None if self.shown is None else self.shown.model_copy(update={"locked": False})
-        return self.model_copy(update={"shown": shown})
 
     def in_cycles(self, row_s: float) -> ColorFields:
         """Return it as decoding uses it."""
-        cycle, row = self.cycle_s / self.frame_s, row_s / self.cycle_s
-        if self.shown is None:
-            return ColorFields(cycle, row)
-        shown = np.array([self.shown.red_s, self.shown.green_s, self.shown.blue_s]) / self.cycle_s
-        return ColorFields(cycle, row, shown, 0.0 if self.shown.locked else None)
+        shown = None if self.shown_s is None else self.shown_s / self.cycle_s
+        start = 0.0 if self.locked else None
+        return ColorFields(self.cycle_s / self.frame_s, row_s / self.cycle_s, shown, start)
 
 
 def _odd_or_zero(value: int) -> int:
@@ -108,7 +112,7 @@ class DecodeSettings(Model):
     "none": the pattern is plain. None: the calibration's pattern has one, or the first frame with fringes shows it."""
     fields: FieldTimes | None = None
     """How the projector shows red, green and blue where it shows them one after another. Then `previous` tells what
-    moved in between, and, unless `fields.shown.locked`, when each exposure began. None: all at once."""
+    moved in between, and, unless `fields.locked`, when each exposure began. None: all at once."""
     row_s: Annotated[float, Field(ge=0, le=_LONGEST_S)] = 0.0
     """From one row's exposure to the next one's, of a camera with a rolling shutter: what moves is measured where it
     was in the middle of its own row's exposure. Pictures must not be turned. 0: all rows at once, or not known."""

@@ -19,6 +19,7 @@ import tomlkit
 from hardware.errors import CameraError
 from hardware.protocols import FrameFormat
 from hardware.rig import Burst, Rejected, Rig
+from hardware.settings import RigSettings
 from pipeline.acquisition.live import LiveDecoder
 from pipeline.calibration import Calibration
 from pipeline.errors import OutputError, SettingsError
@@ -27,7 +28,7 @@ from pipeline.footage.zarr_recording import MOST_FRAMES_A_SECOND
 from pipeline.limits import read_plain
 from pipeline.models import SensorPart
 from pipeline.recording.recorder import Recorder
-from pipeline.settings import DecodeSettings, FieldTimes
+from pipeline.settings import DecodeSettings
 from tikernels.raw.pixel_format import PixelFormat
 
 #: What a capture's folder holds.
@@ -149,12 +150,7 @@ class CaptureFolder:
         try:
             if calibration is not None:
                 calibration.write(folder / CALIBRATION)
-            camera, projector = rig.settings.camera, rig.settings.projector
-            fields = None
-            if projector.colour_cycle_s is not None:
-                fields = FieldTimes(frame_s=self._period_s, cycle_s=projector.colour_cycle_s, shown=projector.fields)
-            seen = DecodeSettings(row_s=camera.row_s, fields=fields)
-            if told := seen.model_dump(mode="json", exclude_defaults=True):
+            if told := _decoding(rig.settings, self._period_s).model_dump(mode="json", exclude_defaults=True):
                 write_atomically(folder / SETTINGS, tomlkit.dumps(told).encode())
             self._log = CaptureLog(folder / LOG)
             self._log.say(
@@ -383,6 +379,17 @@ class CaptureLog:
         except OSError as error:
             self.take_back()
             raise OutputError(f"cannot write {self._path}: {explain(error)}") from None
+
+
+def _decoding(rig: RigSettings, period_s: float) -> DecodeSettings:
+    """Return what decoding needs to know of when a rig shows its colours and exposes its rows."""
+    cycle_s, fields = rig.projector.colour_cycle_s, rig.projector.fields
+    told: dict[str, object] | None = None
+    if cycle_s is not None:
+        told = {"frame_s": period_s, "cycle_s": cycle_s}
+        if fields is not None:
+            told |= {"shown_s": (fields.red_s, fields.green_s, fields.blue_s), "locked": fields.locked}
+    return DecodeSettings.of(row_s=rig.camera.row_s, fields=told)
 
 
 def end_log(path: Path, n_frames: int) -> None:

@@ -215,7 +215,8 @@ class Job:
         """Return a decoder of such frames."""
         settings = self.settings
         if settings.fields is not None and settings.row_s > 0 and self.crop is not None and self.crop.y > 0:
-            settings = settings.model_copy(update={"fields": settings.fields.unlocked()})  # these rows start later
+            fields = settings.fields.model_copy(update={"locked": False})  # these rows start later in the cycle
+            settings = settings.model_copy(update={"fields": fields})
         return Decoder(settings, self._calibration_of_part(), arch=self.arch)
 
     def _calibration_of(self, source: Source) -> Calibration | None:

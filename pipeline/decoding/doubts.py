@@ -236,16 +236,16 @@ def motion_doubts(motion: FieldMotion, fields: ColorFields, memory: FrameMemory 
     rows = max(motion.times.shape[:2])
     order = fields.found_order(motion.shares, rows)
     if motion.unknown > _FEW:
-        stated = fields.shown is not None or order is not None
-        cure = "more frames may" if stated else "state projector.fields, and camera.row_s, in the rig file"
         doubts["fields unknown"] = (
             f"{motion.unknown:.0%} of the surface moves while the projector shows its colours one after another, and "
-            f"the frames so far do not show which one when; sigma contains what it costs: {cure}"
+            "the frames so far do not show which one when; sigma contains what it costs. State projector.fields and "
+            "camera.row_s in the rig file if they are not"
         )
     before = None if memory is None or memory.fields is None else fields.found_order(memory.fields, rows)
     if order is not None and before is None:
         doubts["field order shown"] = (
-            f"the frames show that colours come in the order {order}: state projector.fields in the rig file"
+            f"the projector's colours come in the order {order}, as the frames show: state projector.fields in the rig "
+            "file"
         )
     return tuple(Cause(key, words) for key, words in doubts.items())
 

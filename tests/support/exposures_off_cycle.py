@@ -17,7 +17,8 @@ from pipeline.simulation import SimulatedFrame, SimulationSettings, simulate_fra
 FIELDS = {
     "frame_s": 1.0,
     "cycle_s": 1.0,
-    "shown": {"red_s": (0, 1 / 3), "green_s": (1 / 3, 2 / 3), "blue_s": (2 / 3, 1), "locked": True},
+    "shown_s": ((0, 1 / 3), (1 / 3, 2 / 3), (2 / 3, 1)),
+    "locked": True,
 }
 KINDS = ("even", "top bit", "rolling")
 SHARE = 1 / 3

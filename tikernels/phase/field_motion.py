@@ -193,25 +193,25 @@ def _log_likelihood(
         return np.zeros(len(times))
     size = float(np.median(np.abs(deviation[sure]))) / 0.6745  # a standard deviation, if it is Gaussian
     weight = sure / (1 + (deviation / max(_HALF_SIGMAS * size, TINY)) ** 2)
-    # Motion's waves; and those of a second harmonic that is the same all over the frame: the template has one in it.
-    constant = weight * np.stack([np.cos(2 * phase), np.sin(2 * phase)])
-    waves = np.nan_to_num(change) * np.stack([np.cos(2 * phase), np.sin(2 * phase)])
-    delays, shape = channel_delays(), times.shape[1:]
-    parts = np.stack([-(times @ np.cos(2 * delays)) / 3, times @ np.sin(2 * delays) / 3])  # of both waves
-    same = np.tensordot(constant, [np.cos(2 * phase), np.sin(2 * phase)], axes=((1, 2), (1, 2)))
-    explained, size_of, rest = np.zeros(len(times)), np.zeros(len(times)), np.zeros((len(times), 2))
-    rest += np.tensordot(constant, deviation, axes=2)
-    for part, wave in zip(parts, waves, strict=True):
-        explained += 2 * (part * _summed(weight * wave * deviation, shape)).sum(axis=(1, 2))
-        for other, other_wave in zip(parts, waves, strict=True):
-            size_of += (part * other * _summed(weight * wave * other_wave, shape)).sum(axis=(1, 2))
+    # What motion makes of these two waves; and the waves themselves, the same all over the frame, as a template with the
+    # mean motion in it leaves them: they are fitted to what each hypothesis leaves.
+    both = np.stack([np.cos(2 * phase), np.sin(2 * phase)])
+    waves, delays, shape = np.nan_to_num(change) * both, channel_delays(), times.shape[1:]
+    factors = np.stack([-(times @ np.cos(2 * delays)) / 3, times @ np.sin(2 * delays) / 3])
+    explained, predicted = np.zeros(len(times)), np.zeros(len(times))  # sums of squares
+    left = np.tile(np.tensordot(weight * both, deviation, axes=2), (len(times), 1))
+    for factor, wave in zip(factors, waves, strict=True):
+        explained += 2 * (factor * _summed(weight * wave * deviation, shape)).sum(axis=(1, 2))
+        for other, other_wave in zip(factors, waves, strict=True):
+            predicted += (factor * other * _summed(weight * wave * other_wave, shape)).sum(axis=(1, 2))
         for k in range(2):
-            rest[:, k] -= (part * _summed(constant[k] * wave, shape)).sum(axis=(1, 2))
-    explained += (rest * np.linalg.solve(same + TINY * np.eye(2), rest.T).T).sum(axis=1) - size_of
+            left[:, k] -= (factor * _summed(weight * both[k] * wave, shape)).sum(axis=(1, 2))
+    normal = np.tensordot(weight * both, both, axes=((1, 2), (1, 2))) + TINY * np.eye(2)
+    explained += (left * np.linalg.solve(normal, left.T).T).sum(axis=1) - predicted
     variance = float((weight * deviation**2).sum() / max(weight.sum(), TINY))
     samples = (2 * every / period_px) ** 2 / max(variance, TINY)
-    best = int(explained.argmax())
-    return np.asarray(0.5 * samples * explained / (1 + _DOUBT**2 * samples * size_of[best]))
+    # More samples do not help beyond what a prediction is off by itself.
+    return np.asarray(0.5 * samples * explained / (1 + _DOUBT**2 * samples * predicted[explained.argmax()]))
 
 
 @ti.func

@@ -62,9 +62,8 @@ class Shutter:
         """Return what a rig file says of it."""
         fields: dict[str, object] | None = None
         if self.cycle_s is not None:
-            third = self.cycle_s / 3
-            shown = {f"{name}_s": (k * third, (k + 1) * third) for k, name in enumerate(("red", "green", "blue"))}
-            fields = {"frame_s": self.frame_s, "cycle_s": self.cycle_s, "shown": shown}
+            thirds = [(k * self.cycle_s / 3, (k + 1) * self.cycle_s / 3) for k in range(3)]
+            fields = {"frame_s": self.frame_s, "cycle_s": self.cycle_s, "shown_s": thirds}
         return DecodeSettings.of(stripes=stripes, row_s=self.readout_s / height, fields=fields)
 
     def row_starts(self, number: int, height: int) -> F64:

@@ -31,13 +31,14 @@ def test_settings_from_toml(tmp_path):
         ("fields = {frame_s = 1, cycle_s = 1e9}", "fields.cycle_s: must be a number above 0 and at most 3600"),
         ("fields = {frame_s = 0.01, cycle_s = 0.016}", "fields: a colour cycle of 0.016 s is longer than a frame"),
         (
-            "fields = {frame_s = 1, cycle_s = 1, shown = {red_s = [0, 0.4], green_s = [0.3, 0.6], blue_s = [0.6, 1]}}",
-            "fields.shown: two colours are on at the same time: a white, yellow or cyan segment",
+            "fields = {frame_s = 1, cycle_s = 1, shown_s = [[0, 0.4], [0.3, 0.6], [0.6, 1]]}",
+            "fields: two colours are on at the same time: a white, yellow or cyan segment",
         ),
         (
-            "fields = {frame_s=1, cycle_s = 0.5, shown = {red_s = [0, 0.3], green_s = [0.3, 0.6], blue_s = [0.7, 1]}}",
-            "fields: the colours take 1 s, but a cycle of all of them only 0.5 s",
+            "fields = {frame_s = 1, cycle_s = 0.5, shown_s = [[0, 0.3], [0.3, 0.6], [0.7, 1]]}",
+            "fields: each colour must go on before it goes off, and all within 0.5 s",
         ),
+        ("fields = {frame_s = 1, cycle_s = 0.5, locked = true}", "fields: locked needs shown_s"),
         ("row_s = -1", "row_s: must be a number from 0 to 3600"),
         ("a = [", "not what it should be"),
     ],
@@ -50,9 +51,9 @@ def test_wrong_settings_are_refused_by_their_key(tmp_path, text, message):
 
 
 def test_fields_in_cycles_and_frames():
-    shown = {"red_s": (0, 0.1), "green_s": (0.1, 0.2), "blue_s": (0.2, 0.3), "locked": True}
-    told = DecodeSettings.of(fields={"frame_s": 0.5, "cycle_s": 0.3, "shown": shown}).fields
+    shown_s = ((0, 0.1), (0.1, 0.2), (0.2, 0.3))
+    told = DecodeSettings.of(fields={"frame_s": 0.5, "cycle_s": 0.3, "shown_s": shown_s, "locked": True}).fields
     fields = told.in_cycles(0.003)
     assert (fields.cycle, fields.row, fields.start) == (pytest.approx(0.6), pytest.approx(0.01), 0.0)
     np.testing.assert_allclose(fields.shown, [[0, 1 / 3], [1 / 3, 2 / 3], [2 / 3, 1]])
-    assert told.unlocked().in_cycles(0.003).start is None
+    assert told.model_copy(update={"locked": False}).in_cycles(0.003).start is None
