@@ -150,7 +150,7 @@ class CaptureFolder:
         try:
             if calibration is not None:
                 calibration.write(folder / CALIBRATION)
-            if told := _decoding(rig.settings, self._period_s).model_dump(mode="json", exclude_defaults=True):
+            if told := _decoding(rig.settings, self._period_s).model_dump(mode="json", exclude_unset=True):
                 write_atomically(folder / SETTINGS, tomlkit.dumps(told).encode())
             self._log = CaptureLog(folder / LOG)
             self._log.say(
@@ -384,12 +384,13 @@ class CaptureLog:
 def _decoding(rig: RigSettings, period_s: float) -> DecodeSettings:
     """Return what decoding needs to know of when a rig shows its colours and exposes its rows."""
     cycle_s, fields = rig.projector.colour_cycle_s, rig.projector.fields
-    told: dict[str, object] | None = None
+    values: dict[str, Any] = {"row_s": rig.camera.row_s} if rig.camera.row_s else {}
     if cycle_s is not None:
-        told = {"frame_s": period_s, "cycle_s": cycle_s}
+        values["fields"] = {"frame_s": period_s, "cycle_s": cycle_s}
         if fields is not None:
-            told |= {"shown_s": (fields.red_s, fields.green_s, fields.blue_s), "locked": fields.locked}
-    return DecodeSettings.of(row_s=rig.camera.row_s, fields=told)
+            shown_s = (fields.red_s, fields.green_s, fields.blue_s)
+            values["fields"] |= {"shown_s": shown_s, "locked": fields.locked}
+    return DecodeSettings.of(**values)
 
 
 def end_log(path: Path, n_frames: int) -> None:

@@ -193,8 +193,8 @@ def _log_likelihood(
         return np.zeros(len(times))
     size = float(np.median(np.abs(deviation[sure]))) / 0.6745  # a standard deviation, if it is Gaussian
     weight = sure / (1 + (deviation / max(_HALF_SIGMAS * size, TINY)) ** 2)
-    # What motion makes of these two waves; and the waves themselves, the same all over the frame, as a template with the
-    # mean motion in it leaves them: they are fitted to what each hypothesis leaves.
+    # What motion makes of these two waves; and the waves themselves, the same all over the frame, as a template leaves
+    # them that has the mean motion in it: they are fitted to what each hypothesis leaves.
     both = np.stack([np.cos(2 * phase), np.sin(2 * phase)])
     waves, delays, shape = np.nan_to_num(change) * both, channel_delays(), times.shape[1:]
     factors = np.stack([-(times @ np.cos(2 * delays)) / 3, times @ np.sin(2 * delays) / 3])
