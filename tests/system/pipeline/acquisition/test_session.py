@@ -288,17 +288,17 @@ def test_a_closed_terminal_is_nothing_to_nohup():
 
 def test_colours_one_after_another_are_said_to_whoever_decodes(tmp_path):
     """The folder holds what decoding needs to undo motion between them."""
-    fields = {"red_s": (0.0, 0.001), "green_s": (0.0015, 0.0025), "blue_s": (0.003, 0.004)}
+    fields = {"red_s": (0.0, 0.0003), "green_s": (0.0003, 0.0006), "blue_s": (0.0007, 0.001)}
     rig = settings()
     captured(Bench(rig), tmp_path / "plain", CapturePlan(1))
     assert not (tmp_path / "plain" / "settings.toml").exists()
-    projector = rig.projector.model_validate({**vars(rig.projector), "fields": fields, "colour_cycle_s": 0.004})
-    camera = rig.camera.model_copy(update={"exposure_s": 0.004, "row_s": 1e-5})
+    projector = rig.projector.model_validate({**vars(rig.projector), "fields": fields, "colour_cycle_s": 0.001})
+    camera = rig.camera.model_copy(update={"exposure_s": 0.001, "row_s": 1e-5})
     captured(
         Bench(rig.model_copy(update={"projector": projector, "camera": camera})), tmp_path / "told", CapturePlan(1)
     )
     told = DecodeSettings.read(tmp_path / "told" / "settings.toml")
     assert told.row_s == 1e-5
-    assert (told.fields.frame_s, told.fields.cycle_s) == (rig.timing.period_s, 0.004)
+    assert (told.fields.frame_s, told.fields.cycle_s) == (rig.timing.period_s, 0.001)
     assert told.fields.shown_s.tolist() == [list(fields[f"{name}_s"]) for name in ("red", "green", "blue")]
     assert not told.fields.locked
