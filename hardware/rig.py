@@ -381,13 +381,12 @@ class Rig:
         if strobes:
             self._strobe_delay_s = float(np.median([each.time_s - each.pulse * train.period_s for each in strobes]))
         by_pulse = {strobe.pulse: strobe.time_s for strobe in strobes or ()}
-        fields, paired = self.settings.projector.fields, []
+        paired = []
         for pulse, frame in enumerate(frames, first):
             if frame.image is None:  # which is a fault
                 raise _Refused([Fault("frame not whole", "its frame is not whole", pulse)])
             pulse_s, strobe_s = pulse * train.period_s + train.camera.delay_s, by_pulse.get(pulse)
             exposed_s = pulse_s if strobe_s is None else strobe_s
-            exposed_s = exposed_s if fields is None else pulse_s + fields.middle_s
             paired.append(PairedFrame(pulse, frame.image, frame, pulse_s, strobe_s, started_s + exposed_s))
         return Burst(number, tuple(paired), status, n_repeated, _camera_ppm(paired))
 

@@ -95,6 +95,9 @@ class CameraSettings(_Section):
     exposure_s: Positive
     """How long each frame is exposed; a whole number of colour cycles where the projector shows colours one after
     another."""
+    row_s: NonNegative = 0.0
+    """From one row's exposure to the next one's, of a rolling shutter (data sheets: line time); 0: a global one, or not
+    known."""
     gain_db: Annotated[float, Field(ge=0, le=_MOST_GAIN_DB)] = 0.0
     """Amplification: noise grows with it, so light and aperture come first."""
     pixel_format: str | None = None
@@ -115,19 +118,17 @@ class CameraSettings(_Section):
 
 
 class FieldSettings(_Section):
-    """When a projector shows its colours one after another: the middle of each, after the frame's pulse."""
+    """When a projector that shows its colours one after another has each of them on, and off again."""
 
-    red_s: NonNegative
-    """The middle of red's light, after the frame's pulse."""
-    green_s: NonNegative
-    """The middle of green's light."""
-    blue_s: NonNegative
-    """The middle of blue's light."""
-
-    @property
-    def middle_s(self) -> float:
-        """The middle colour's, which is the frame's."""
-        return sorted((self.red_s, self.green_s, self.blue_s))[1]
+    red_s: tuple[NonNegative, NonNegative]
+    """From when to when red is on, after the start of a colour cycle."""
+    green_s: tuple[NonNegative, NonNegative]
+    """From when to when green is on."""
+    blue_s: tuple[NonNegative, NonNegative]
+    """From when to when blue is on."""
+    locked: bool = False
+    """Whether every frame's pulse, and exposure, comes at the start of a cycle, as a trigger of both makes it; false:
+    the camera runs freely, and decoding finds where in the cycle each frame began."""
 
 
 class ProjectorSettings(_Section):
@@ -139,7 +140,7 @@ class ProjectorSettings(_Section):
     colour_cycle_s: Positive | None = None
     """How long R, G and B take together, where the projector shows them one after another; None: it does not."""
     fields: FieldSettings | None = None
-    """When each frame sees them, where every pulse meets the projector at the same place of its colour cycle."""
+    """When each of them is on, as its data sheet says; None: not known."""
     control: Annotated[str, _Driver(tuple(PROJECTORS))] | None = None
     """What switches it on, a name in `hardware.drivers` or ``module:Class``; None: somebody does."""
     port: str | None = None
@@ -151,6 +152,12 @@ class ProjectorSettings(_Section):
     alternating: bool = False
     """Whether each projector pulse shows the other of two pictures, the second one dimmer (`colorphase pattern
     --brightness 0.85`), so that a lost projector pulse is seen in the frames. Without, it goes unnoticed."""
+
+    @model_validator(mode="after")
+    def _check(self) -> "ProjectorSettings":
+        if self.fields is not None and self.colour_cycle_s is None:
+            raise ValueError("fields need colour_cycle_s, how long they take together")
+        return self
 
 
 class RigSettings(_Section):

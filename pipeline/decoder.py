@@ -17,6 +17,7 @@ from pipeline.decoding.doubts import (
     folded_lens_doubt,
     fringe_doubt,
     light_doubts,
+    motion_doubts,
     over_exposure_doubt,
     repeated_chroma_doubt,
     reversed_doubt,
@@ -41,7 +42,7 @@ from tikernels.depth.triangulation import leave_out_blind, triangulate
 from tikernels.order_evidence import follow_phase
 from tikernels.phase.camera_blur import undo_camera_blur
 from tikernels.phase.crosstalk import Crosstalk
-from tikernels.phase.field_motion import MOTION_TURNS, FieldMotion, doubt_motion, hold_still, measure_motion
+from tikernels.phase.field_motion import FieldMotion, doubt_motion, hold_still, measure_motion
 from tikernels.phase.frame_statistics import FrameLevels, FrameStatistics, measure_frame
 from tikernels.phase.phase_change import RATE_ACROSS, measure_rates
 from tikernels.phase.phase_fit import FittedPhase, fit_phase
@@ -112,6 +113,8 @@ class Decoder:
         self._orders = OrderFinder(self._light.code, geometry, depth_range_mm)
         self._expected = None if geometry is None else ExpectedFringe.of(geometry, depth_range_mm)
         self._given = None if unwrapper is None else GivenRegions(unwrapper)
+        fields = self.settings.fields
+        self._fields = None if fields is None else fields.in_cycles(self.settings.row_s)
         self._pool = BufferPool()
         self._workspace: Workspace | None = None
         self.arch = runtime.init(arch)
@@ -123,7 +126,11 @@ class Decoder:
         return f"Decoder(arch={self.arch!r}, stripes={self.settings.stripes!r}, {calibrated})"
 
     def decode(
-        self, image: LevelsImage, previous: DecodedFrame | None = None, out: DecodedFrame | None = None
+        self,
+        image: LevelsImage,
+        previous: DecodedFrame | None = None,
+        out: DecodedFrame | None = None,
+        elapsed: float = 1.0,
     ) -> DecodedFrame:
         """Decode one frame.
 
@@ -141,6 +148,9 @@ class Decoder:
             of it again starts afresh, with a `DecodeWarning`.
         out : DecodedFrame, optional
             An earlier result of the same size, whose arrays are used again: what was read from it changes.
+        elapsed : float
+            Time since `previous`, in times from frame to frame: 2 after a frame that was dropped. It matters where
+            colours come one after another (`DecodeSettings.fields`).
 
         Returns
         -------
@@ -154,7 +164,7 @@ class Decoder:
         CalibrationError
             The calibration is for another image size.
         SettingsError
-            `previous` was decoded with stripes the other way.
+            `previous` was decoded with stripes the other way, or `elapsed` is not above 0.
         FootageError
             The image holds NaN, or values outside 0..white level.
         DeviceNotReady
@@ -163,7 +173,7 @@ class Decoder:
         with runtime.lock, one_thread():
             runtime.require(self.arch)
             frame = self._reader.read(image)  # linear light, colours aligned, stripes along the rows
-            memory = None if previous is None else previous.memory.checked(frame.shape, self._setup.stripes)
+            memory = None if previous is None else previous.memory.checked(frame.shape, self._setup.stripes, elapsed)
             if out is None:
                 buffers = self._pool.lend(frame.shape, points=self._setup.rays is not None)
             else:
@@ -289,8 +299,8 @@ class Decoder:
         # Its place.
         if rays is not None:
             triangulate(surface.unwrapped, rays.rays, rays.projector, out=surface.points)
-        fast = 0.0 if motion is None else motion.too_fast
-        doubted = (model.contrast, light.mismatch, light.odd, fast, lambda: self._mm_per_rad(surface))
+        doubted = (model.contrast, light.mismatch, light.odd, lambda: self._mm_per_rad(surface))
+        moved = () if motion is None or self._fields is None else motion_doubts(motion, self._fields, memory)
         order_doubt = placement.warning or lost
         code_lost = order_doubt is not None and order_doubt.key in {"code too weak", "orders guessed"}
         mask = runtime.to_host(surface.mask)  # synchronises
@@ -302,13 +312,13 @@ class Decoder:
             n_measured=int(np.count_nonzero(mask)),
             surfaces=light.surfaces,
             stripe_shift_px=placement.shift_px,
-            at_rest=self.settings.field_times is None or motion is not None,
+            fields=None if motion is None else motion.shares,
             orders=orders,
             constant_known=known.constant_known,
             constant_sigma=light.constant_sigma,
             mismatch=light.mismatch,
             order_doubt=order_doubt,
-            light_doubts=light_doubts(*doubted, constant_known=known.constant_known, code_lost=code_lost),
+            light_doubts=(*light_doubts(*doubted, constant_known=known.constant_known, code_lost=code_lost), *moved),
         )
 
     def _kept_light(
@@ -406,19 +416,16 @@ class Decoder:
 
         By a first look at the phase, and the frame before.
         """
-        times, known, model = self.settings.field_times, self._light, work.model
-        image, motion = frame.image, None
-        if times is None or memory is None:
-            return image, motion
-        for _ in range(MOTION_TURNS):
-            correction = known.fit_neutral(image, levels, model)
-            fit = fit_phase(image, model, known.crosstalk, levels, correction, known.contrast_doubt)
-            lag = 0.0
-            if motion is None:
-                motion = measure_motion(fit.phase, memory.surface.unwrapped, times, work.period_px)
-                lag = motion.mean_change(fit.modulation)
-            image = hold_still(frame.image, fit, motion, model, known.crosstalk, lag)
-        return image, motion
+        known, model = self._light, work.model
+        if self._fields is None or memory is None:
+            return frame.image, None
+        fields = replace(self._fields, cycle=self._fields.cycle / memory.elapsed)
+        light = known.fit(frame.image, levels, model, before=memory.surfaces)
+        fit = fit_phase(frame.image, model, light.crosstalk, levels, light.correction, known.contrast_doubt)
+        before, rows_last = memory.surface.unwrapped, self._setup.stripes == "vertical"
+        motion = measure_motion(fit.phase, before, fields, memory.fields, work.period_px, rows_last=rows_last)
+        lags = motion.lags(fit.modulation)
+        return hold_still(frame.image, fit, motion, model, light.crosstalk, lags), motion
 
     def _learn_light(self, frame: LinearFrame, levels: FrameLevels, period_px: float, surface: SurfaceBuffers) -> bool:
         """Learn crosstalk and response from a frame that was decoded without them; return whether it told them."""

@@ -1,6 +1,7 @@
 """How a frame is decoded."""
 
 import tomllib
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -9,6 +10,7 @@ from pydantic import AfterValidator, ConfigDict, Field, model_validator
 from pipeline.errors import SettingsError
 from pipeline.models import ArrayOf, CameraState, CodeChoice, FloatArray, Matrix3, Model, build, read_file
 from tikernels.errors import ShapeError
+from tikernels.phase.color_fields import ColorFields
 from tikernels.phase.crosstalk import invert_crosstalk
 from tikernels.phase.frame_statistics import MIN_PERIOD_PX
 from tikernels.phase.smoothing import MAX_SMOOTHING_PX
@@ -18,9 +20,52 @@ _MAX_PERIOD_PX = 10_000
 # Up to here float32 counts every level; and floats from 0 to 1 may have been scaled down, but not to where their
 # noise's squares are too small for it.
 _MIN_WHITE, _MAX_WHITE = 2.0**-10, float(2**24)
-# Colours of one picture lie within a cycle of the projector, which is a few frames of the fastest cameras.
-_MOST_FRAMES_APART = 10.0
+# An hour, as in `hardware.settings`; and by how much times may miss each other, as in `hardware.colour_cycle`.
+_LONGEST_S, _OFF = 3600.0, 0.002
 _Level = Annotated[float, Field(ge=0, le=_MAX_WHITE)]
+
+
+class FieldTimes(Model):
+    """A projector that shows red, green and blue one after another, before a camera that exposes whole cycles."""
+
+    model_config = ConfigDict(use_attribute_docstrings=True)
+
+    frame_s: Annotated[float, Field(gt=0, le=_LONGEST_S)]
+    """From one frame to the next."""
+    cycle_s: Annotated[float, Field(gt=0, le=_LONGEST_S)]
+    """How long red, green and blue take together."""
+    shown_s: Annotated[FloatArray, ArrayOf((3, 2), _LONGEST_S)] | None = None
+    """From when to when red, green and blue are on in a cycle; None: a third of it each, in an order that the frames
+    show or not."""
+    locked: bool = False
+    """Whether every exposure starts with a cycle; false: it is found in each frame where it does."""
+
+    @model_validator(mode="after")
+    def _check(self) -> "FieldTimes":
+        if self.cycle_s > self.frame_s * (1 + _OFF):
+            raise ValueError(
+                f"a colour cycle of {self.cycle_s:g} s is longer than a frame of {self.frame_s:g} s, whose exposure "
+                "cannot see all colours: take frames at a lower rate"
+            )
+        if self.shown_s is None:
+            if self.locked:
+                raise ValueError("locked needs shown_s, when each colour is on after the start of an exposure")
+            return self
+        turns = sorted(self.shown_s.tolist())
+        if any(on >= off for on, off in turns) or turns[-1][1] - turns[0][0] > self.cycle_s * (1 + _OFF):
+            raise ValueError(f"each colour must go on before it goes off, and all within {self.cycle_s:g} s")
+        if any(off > on for (_, off), (on, _) in pairwise(turns)):
+            raise ValueError(
+                "two colours are on at the same time: a white, yellow or cyan segment belongs to no colour, and its "
+                "motion cannot be undone: switch it off in the projector's menu (BrilliantColor, white boost)"
+            )
+        return self
+
+    def in_cycles(self, row_s: float) -> ColorFields:
+        """Return it as decoding uses it."""
+        shown = None if self.shown_s is None else self.shown_s / self.cycle_s
+        start = 0.0 if self.locked else None
+        return ColorFields(self.cycle_s / self.frame_s, row_s / self.cycle_s, shown, start)
 
 
 def _odd_or_zero(value: int) -> int:
@@ -65,9 +110,12 @@ class DecodeSettings(Model):
     """The pattern's code, by which orders become absolute. "contrast": the modulation of each cycle shows which one it
     is, as in what `colorphase pattern` makes; "contrast2": that of its cells, as wide as in the calibration's pattern;
     "none": the pattern is plain. None: the calibration's pattern has one, or the first frame with fringes shows it."""
-    field_times: Annotated[FloatArray, ArrayOf((3,), _MOST_FRAMES_APART)] | None = None
-    """When the projector shows red, green and blue where it shows them one after another: the middle of each, in times
-    from frame to frame. Then `previous` tells what moved in between. None: all at once."""
+    fields: FieldTimes | None = None
+    """How the projector shows red, green and blue where it shows them one after another. Then `previous` tells what
+    moved in between, and, unless `fields.locked`, when each exposure began. None: all at once."""
+    row_s: Annotated[float, Field(ge=0, le=_LONGEST_S)] = 0.0
+    """From one row's exposure to the next one's, of a camera with a rolling shutter: what moves is measured where it
+    was in the middle of its own row's exposure. Pictures must not be turned. 0: all rows at once, or not known."""
     noise: tuple[_Level, _Level] | None = None
     """Read noise's standard deviation s and gain g, in grey levels: a channel's variance is s^2 + g times its level.
     None: estimated from the frame."""

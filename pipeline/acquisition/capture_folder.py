@@ -14,10 +14,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tomlkit
 
 from hardware.errors import CameraError
 from hardware.protocols import FrameFormat
 from hardware.rig import Burst, Rejected, Rig
+from hardware.settings import RigSettings
 from pipeline.acquisition.live import LiveDecoder
 from pipeline.calibration import Calibration
 from pipeline.errors import OutputError, SettingsError
@@ -148,10 +150,8 @@ class CaptureFolder:
         try:
             if calibration is not None:
                 calibration.write(folder / CALIBRATION)
-            fields = rig.settings.projector.fields
-            if fields is not None:
-                times = [time_s / self._period_s for time_s in (fields.red_s, fields.green_s, fields.blue_s)]
-                write_atomically(folder / SETTINGS, f"field_times = {times}\n".encode())
+            if told := _decoding(rig.settings, self._period_s).model_dump(mode="json", exclude_unset=True):
+                write_atomically(folder / SETTINGS, tomlkit.dumps(told).encode())
             self._log = CaptureLog(folder / LOG)
             self._log.say(
                 "start",
@@ -379,6 +379,18 @@ class CaptureLog:
         except OSError as error:
             self.take_back()
             raise OutputError(f"cannot write {self._path}: {explain(error)}") from None
+
+
+def _decoding(rig: RigSettings, period_s: float) -> DecodeSettings:
+    """Return what decoding needs to know of when a rig shows its colours and exposes its rows."""
+    cycle_s, fields = rig.projector.colour_cycle_s, rig.projector.fields
+    values: dict[str, Any] = {"row_s": rig.camera.row_s} if rig.camera.row_s else {}
+    if cycle_s is not None:
+        values["fields"] = {"frame_s": period_s, "cycle_s": cycle_s}
+        if fields is not None:
+            shown_s = (fields.red_s, fields.green_s, fields.blue_s)
+            values["fields"] |= {"shown_s": shown_s, "locked": fields.locked}
+    return DecodeSettings.of(**values)
 
 
 def end_log(path: Path, n_frames: int) -> None:

@@ -213,7 +213,11 @@ class Job:
 
     def decoder(self) -> Decoder:
         """Return a decoder of such frames."""
-        return Decoder(self.settings, self._calibration_of_part(), arch=self.arch)
+        settings = self.settings
+        if settings.fields is not None and settings.row_s > 0 and self.crop is not None and self.crop.y > 0:
+            fields = settings.fields.model_copy(update={"locked": False})  # these rows start later in the cycle
+            settings = settings.model_copy(update={"fields": fields})
+        return Decoder(settings, self._calibration_of_part(), arch=self.arch)
 
     def _calibration_of(self, source: Source) -> Calibration | None:
         """Return the calibration of the footage's whole frames; see `Calibration.as_read_out`."""

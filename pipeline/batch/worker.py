@@ -14,6 +14,7 @@ from typing import Any
 from pipeline.batch.job import Job, join_ranges
 from pipeline.decoding.frame import DecodedFrame
 from pipeline.errors import DecodeWarning, FootageError
+from pipeline.footage.opening import frame_times
 from pipeline.footage.source import BadFrame, Frames, Source, StoredFrame
 from pipeline.output.store import ResultStore, WrittenFrame
 from tikernels import runtime
@@ -66,6 +67,8 @@ class Worker:
         self._decoder.use_code(self._store.says.code)
         self._decoder.use_light(self._store.says.light)
         self._decoder.use_rims(self._store.says.rim_votes)
+        self._times = None if job.settings.fields is None else frame_times(self._source)
+        self._decoded = 0  # the number of the frame that was decoded last
         width, height = job.size_px(self._source)
         self._image = runtime.empty((height, width, 3), self._source.format.rgb_dtype)
         self._results = [_Result() for _ in range(_RESULTS)]
@@ -141,7 +144,15 @@ class Worker:
         if not is_pinned:
             raise FootageError("its file has changed since this run began: run again")
         image = self._job.develop(stored, self._image)
-        return self._decoder.decode(image, previous, out)
+        elapsed, self._decoded = self._elapsed(stored.number), stored.number
+        return self._decoder.decode(image, previous, out, elapsed)
+
+    def _elapsed(self, number: int) -> int:
+        """Return how many times from frame to frame a frame is later than the one that was decoded last."""
+        passed, fields = number - self._decoded, self._job.settings.fields
+        if self._times is not None and fields is not None:
+            passed = round((self._times.of(number) - self._times.of(self._decoded)) / fields.frame_s)
+        return max(1, passed)
 
 
 @dataclass(eq=False)

@@ -7,10 +7,13 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.causes import Cause, Key
+from pipeline.decoding.frame import FrameMemory
 from pipeline.decoding.frame_reader import LinearFrame
 from pipeline.decoding.surface_search import NoModelFits
 from tikernels import runtime
 from tikernels.arrays import LevelsImage
+from tikernels.phase.color_fields import ColorFields
+from tikernels.phase.field_motion import FieldMotion
 from tikernels.phase.frame_statistics import COLUMNS, MIN_PERIOD_PX, FrameLevels, measure_frame
 from tikernels.raw.repeated_chroma import RepeatedChroma
 from tikernels.transposing import transpose
@@ -180,7 +183,6 @@ def light_doubts(
     contrast: float,
     mismatch: float,
     odd: NoModelFits | None,
-    too_fast: float,
     mm_per_rad: Callable[[], float | None],
     *,
     constant_known: bool,
@@ -196,8 +198,6 @@ def light_doubts(
         How far the channels' fundamentals are from what the crosstalk makes of them, as a fraction.
     odd : NoModelFits, optional
         Surfaces whose colours no matrix explains.
-    too_fast : float
-        Share of the surface that moves too fast for colours that follow each other.
     mm_per_rad : callable
         Returns what a radian is in depth; None without a calibration.
     constant_known : bool
@@ -222,10 +222,30 @@ def light_doubts(
             "light, paint that fluoresces, light that scatters, colours of a lower resolution, too fine a print "
             "and another response than the calibrated one (which colorphase calibrate check would show) look like this"
         )
-    if too_fast > _FEW:
+    return tuple(Cause(key, words) for key, words in doubts.items())
+
+
+def motion_doubts(motion: FieldMotion, fields: ColorFields, memory: FrameMemory | None) -> tuple[Cause, ...]:
+    """Say which motion between the colours of a frame is left, and in which order the frames show that they come."""
+    doubts: dict[Key, str] = {}
+    if motion.too_fast > _FEW:
         doubts["too fast"] = (
-            f"{too_fast:.0%} of the surface moves by a third of a cycle or more from frame to frame: its colours, one "
-            "after another, cannot be put together there; take frames faster"
+            f"{motion.too_fast:.0%} of the surface moves by a third of a cycle or more from frame to frame: its "
+            "colours, one after another, cannot be put together there; take frames faster"
+        )
+    rows = max(motion.times.shape[:2])
+    order = fields.found_order(motion.shares, rows)
+    if motion.unknown > _FEW:
+        doubts["fields unknown"] = (
+            f"{motion.unknown:.0%} of the surface moves while the projector shows its colours one after another, and "
+            "the frames so far do not show which one when; sigma contains what it costs. State projector.fields and "
+            "camera.row_s in the rig file if they are not"
+        )
+    before = None if memory is None or memory.fields is None else fields.found_order(memory.fields, rows)
+    if order is not None and before is None:
+        doubts["field order shown"] = (
+            f"the projector's colours come in the order {order}, as the frames show: state projector.fields in the rig "
+            "file"
         )
     return tuple(Cause(key, words) for key, words in doubts.items())
 

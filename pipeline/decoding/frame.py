@@ -90,22 +90,26 @@ class FrameMemory:
     surface: SurfaceBuffers
     orders: RegionOrders
     surfaces: FoundSurfaces | OnlyColor | None  # what surfaces make of the crosstalk; None: nothing
+    fields: npt.NDArray[np.float64] | None  # see `FieldMotion.shares`; None: nothing is known of the colours' times
+    elapsed: float = 1.0  # time since that frame, in times from frame to frame
 
-    def checked(self, shape: tuple[int, int], stripes: str) -> "FrameMemory":
-        """Return this memory, for a frame whose image has a shape with its stripes along the rows.
+    def checked(self, shape: tuple[int, int], stripes: str, elapsed: float) -> "FrameMemory":
+        """Return this memory some time later, for a frame whose image has a shape with its stripes along the rows.
 
         Raises
         ------
         SettingsError, ShapeError
-            The frame before had other stripes, or another size.
+            The frame before had other stripes, or another size, or was no frame before.
         """
+        if not elapsed > 0:
+            raise SettingsError(f"elapsed is {elapsed:g}: it must be above 0, from the frame before to this one")
         if self.stripes != stripes:
             raise SettingsError(f"stripes are {stripes}, those of the frame before were not: leave previous away")
         before = self.surface.mask.shape
         if before != shape:
             turn = -1 if stripes == "vertical" else 1
             raise ShapeError(f"frame is {size_text(shape[::turn])} but the one before is {size_text(before[::turn])}")
-        return self
+        return replace(self, elapsed=elapsed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +138,7 @@ class Measured:
     range_sign: int = 1  # without a calibration: -1 where the phase grows towards the camera
     front_is_clear: bool = False  # whether that is more than a guess
     light: FrameLight | None = None  # image and model; None: no fringe
-    at_rest: bool = True  # whether the surfaces are those of one moment: no motion between the colours, or undone
+    fields: npt.NDArray[np.float64] | None = None  # see `FrameMemory`
     constant_known: bool = False
     constant_sigma: float = np.nan  # rad, by the light alone
     mismatch: float = np.nan  # of the colours with what the crosstalk makes of them, as a fraction
@@ -341,8 +345,7 @@ class DecodedFrame:
     def memory(self) -> FrameMemory:
         """What the next frame of a video may know of this one."""
         measured = self._measured
-        surfaces = measured.surfaces if measured.at_rest else None  # motion bends what a frame says of them
-        return FrameMemory(self._setup.stripes, measured.surface, measured.orders, surfaces)
+        return FrameMemory(self._setup.stripes, measured.surface, measured.orders, measured.surfaces, measured.fields)
 
     def plot(self, field: str = "range_image", ax: "Axes | None" = None) -> "FigureBase":
         """Draw a field with its scale, in its unit, from its 1st to its 99th percentile.

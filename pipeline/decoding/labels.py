@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 #: The coordinates that there may be; each is an array of one axis.
-COORDINATES = ("frame", "time", "y", "x", "xyz", "rgb")
+COORDINATES = ("frame", "time", "y", "x", "xyz", "rgb", "row_time")
 #: The names of what `dataset_labels` says, and of the list of coordinates beside it.
 DATASET_LABELS = ("Conventions", "title", "source", "history", "coordinates")
 
@@ -34,6 +34,7 @@ _LABELS = {
     "x": {"long_name": "column of the camera's picture", "units": "1", "comment": "px, at the centres of pixels"},
     "xyz": {"long_name": "axis of the camera's frame", "comment": "x right, y down, z forward"},
     "rgb": {"long_name": "channel", "comment": "sRGB"},
+    "row_time": {"long_name": "time of the row's exposure after the frame's", "units": "s"},
 }
 
 
@@ -63,7 +64,7 @@ def field_labels(name: str, field: Field[Any], range_unit: str) -> dict[str, Any
 
 
 def axis_coordinates(
-    axes: Iterable[str], size_px: tuple[int, int], corner_px: tuple[int, int] = (0, 0)
+    axes: Iterable[str], size_px: tuple[int, int], corner_px: tuple[int, int] = (0, 0), row_s: float = 0.0
 ) -> dict[str, Coordinate]:
     """Return the coordinates along the axes of fields.
 
@@ -73,6 +74,8 @@ def axis_coordinates(
         Which of y, x, xyz and rgb.
     size_px, corner_px : (2,) int
         Width and height of a frame, and x and y of its first pixel in the camera's picture, where a part is decoded.
+    row_s : float
+        From one row's exposure to the next one's, of a rolling shutter, whose rows have times; 0: they have none.
     """
     (width, height), (x, y) = size_px, corner_px
     values: dict[str, npt.NDArray[Any]] = {
@@ -81,7 +84,12 @@ def axis_coordinates(
         "xyz": np.array(["x", "y", "z"], np.object_),
         "rgb": np.array(["R", "G", "B"], np.object_),
     }
-    return {name: ((name,), values[name], dict(_LABELS[name])) for name in COORDINATES if name in set(axes)}
+    found: dict[str, Coordinate] = {
+        name: ((name,), values[name], dict(_LABELS[name])) for name in values if name in set(axes)
+    }
+    if row_s and "y" in found:
+        found["row_time"] = (("y",), row_s * values["y"], dict(_LABELS["row_time"]))
+    return found
 
 
 def frame_coordinates(

@@ -187,12 +187,6 @@ class LightModel:
         constant_sigma = float(np.hypot(self.constant_sigma, np.hypot(sigma, odd_rad)))
         return FittedLight(crosstalk, correction, surfaces, odd, mismatch, constant_sigma)
 
-    def fit_neutral(self, image: LevelsImage, levels: FrameLevels, model: ChannelModel) -> _Singles:
-        """Fit the light of one frame as if it had no colours; return the correction. The parameters are `fit`'s."""
-        correction, cycle = self._balance(image, self.crosstalk, levels, model)
-        model.fit(self.crosstalk, correction, cycle, self.contrast_doubt)
-        return correction
-
     def _balance(
         self, image: LevelsImage, crosstalk: Crosstalk, levels: FrameLevels, model: ChannelModel
     ) -> tuple[_Singles, _Singles]:

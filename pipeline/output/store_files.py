@@ -263,7 +263,7 @@ def new_metadata(
             compressors=chunk_codecs(None if name == DONE else LEVEL),
             chunk_key_encoding=CHUNK_KEYS,
             dimension_names=("frame", *axes),
-            attributes=_described(name, attributes, timed=times is not None),
+            attributes=_described(name, attributes, coordinates),
         )
     for name, (axes, values, about_it) in coordinates.items():
         is_text = values.dtype.kind == "O"
@@ -299,16 +299,19 @@ def _coordinates(
     corner = (0, 0) if part is None else (part["x"], part["y"])
     axes = {axis for name in fields for axis in FIELDS[name].axes}
     known = () if times is None else (times.seconds, times.since)
-    return {**frame_coordinates(n_frames, *known), **axis_coordinates(axes, size_px, corner)}
+    row_s = attributes.get("settings", {}).get("row_s", 0.0)
+    return {**frame_coordinates(n_frames, *known), **axis_coordinates(axes, size_px, corner, row_s)}
 
 
-def _described(name: str, attributes: dict[str, Any], *, timed: bool) -> dict[str, Any]:
-    """Return what an array says of itself; with `timed` frames have times, which CF has every array name."""
+def _described(name: str, attributes: dict[str, Any], coordinates: Mapping[str, Coordinate]) -> dict[str, Any]:
+    """Return what an array says of itself; CF has every array name the times of its frames and rows."""
     if name == DONE:
         labels = {"long_name": "record of each frame that is whole, as JSON", "comment": "blank: it is not done"}
     else:
         labels = field_labels(name, FIELDS[name], attributes.get("range_unit", "rad"))
-    return {**labels, **({"coordinates": "time"} if timed else {})}
+    along = {"frame", *_axes(name)}
+    times = [key for key, (axes, _, _) in coordinates.items() if key not in axes and along.issuperset(axes)]
+    return {**labels, **({"coordinates": " ".join(times)} if times else {})}
 
 
 @dataclass(frozen=True)

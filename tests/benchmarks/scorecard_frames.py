@@ -21,6 +21,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 from moving_scenes import moved
+from support.exposures_off_cycle import FIELDS
 from support.piled_objects import piled_objects
 
 from pipeline.calibration import Calibration
@@ -143,7 +144,7 @@ def film(scene: str, pattern: str, frames: int, seed: int) -> Taken:
 def in_turns(seed: int) -> Taken:
     """Return two frames of a ball that comes nearer while colours are shown one after another, the second at rest."""
     rig, step_mm = simulated_rig(), -0.7
-    calibration, settings = known_light(rig, "matrix", None)[0], {"field_times": [1 / 6, 3 / 6, 5 / 6]}
+    calibration, settings = known_light(rig, "matrix", None)[0], {"fields": FIELDS}
 
     def taken(steps: int, moving_mm: float) -> SimulatedFrame:
         moved = {"object_motion_mm": (0, 0, steps * step_mm), "field_motion_mm": (0, 0, moving_mm)}

@@ -199,7 +199,8 @@ crosstalk_matrix = [[0.9, 0.1, 0.0], [0.1, 0.8, 0.1], [0.0, 0.1, 0.9]]
 transfer = "srgb"
 smoothing_px = 7
 projector_side = "above"
-field_times = [0.1, 0.4, 0.7]
+row_s = 2e-05
+fields = { frame_s = 0.0333, cycle_s = 0.0167 }
 noise = [1.5, 0.02]
 white_level = 255
 min_intensity = 3.0

@@ -1,16 +1,23 @@
 """Undo motion between the colours of a frame, where the projector shows them one after another.
 
 A surface that moves while red, green and blue follow each other is seen at three phases: that of primary j is ahead by
-v tau_j, with v the phase's change from frame to frame and tau_j the field's time beside the middle one's, in frames. A
-fit of one phase to that is off by an error that changes twice a cycle. The image is therefore given the light that a
-surface at rest would send back, and everything after it sees a frame of one moment:
+v tau_j, with v the phase's change from frame to frame and tau_j the colour's mean time after the middle of the
+exposure, in frames (`color_fields.py`). A fit of one phase to that is off by
+
+    -v / 3 sum_j tau_j cos(2 phi + 2 d_j),    d_j the channel's delay,
+
+twice a cycle. Where it is not known when an exposure starts, that term in the first fit's phase tells the times apart:
+each hypothesis of `ColorFields` predicts another one, and its likelihood is that of what it leaves. The times that are
+used are the mean over all hypotheses, and their spread is in doubt.
+
+The image is given the light that a surface at rest would send back, and everything after it sees a frame of one moment:
 
     C + s T A M (p(phi) - p(phi + v tau)),    p = M^-1 t,
 
 with s, T and A of `phase_fit.py`, M the crosstalk, t the template, and p_j what primary j sends. v is the phase's
 change since the frame before, averaged over about a cycle, over which the error of either frame cancels. phi is that of
-a first look, in which the motion still is; a second turn with the phase of the image at rest leaves a hundredth of it.
-The first template is read off the frame as it is and has the mean change, the lag, in it.
+a first fit, in which the motion still is. Its template is read off the frame as it is and has the mean of v tau_j, the
+lags, in it.
 """
 
 from functools import cache
@@ -27,9 +34,10 @@ from tikernels.launching import kernel
 from tikernels.phase.balance_window import SIGMA_ACROSS, SIGMA_ALONG
 from tikernels.phase.channel_model import ChannelModel
 from tikernels.phase.channel_template import cycle_and_slope, load_harmonics
+from tikernels.phase.color_fields import ColorFields
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.phase_fit import FittedPhase, doubted, node_model
-from tikernels.phase.phase_vector import TINY, channel_mean, color_at
+from tikernels.phase.phase_vector import TINY, channel_delays, channel_mean, color_at
 from tikernels.phase.surfaces import surface_at, surface_matrix
 from tikernels.phase.wrapped_phase import LEAST_NO_PHASE, has_phase
 from tikernels.raw.linearization import LEVEL_TYPES
@@ -40,8 +48,18 @@ _GRID_PX = 2
 _FILLED, _FASTEST = 0.1, 2.0 * np.pi / 3
 # What is undone is right to this fraction: surfaces speed up and turn.
 _DOUBT = 0.2
-#: Turns of fitting the phase and taking the motion out of the image.
-MOTION_TURNS = 2
+# The change of the error over a cycle is sampled this often; half a cycle both ways is one independent sample, for so
+# far texture and compression reach.
+_SAMPLES = 8
+# Neighbourhood that the phase is compared with, standard deviations along and across the stripes in cycles: a second
+# harmonic averages out, and no more of the surface's shape than need be. It is known where so much of it is seen.
+_ALONG, _ACROSS, _SURE = 0.3, 1.0, 0.9
+# Deviations of this many standard deviations count half: edges and textures are off by more than noise.
+_HALF_SIGMAS = 2.0
+# Times are told apart if less than this part of them is unsure.
+_TOLD = 0.5
+# Phase that motion may leave unnoticed, rad: the noise of good frames.
+_UNNOTICED = 0.01
 
 
 class FieldMotion(NamedTuple):
@@ -49,13 +67,25 @@ class FieldMotion(NamedTuple):
 
     change: npt.NDArray[np.float32]
     """(H, W) rad, what the phase has changed by since the frame before; NaN where it is not known."""
-    times: npt.NDArray[np.float64]
-    """(3,) when red, green and blue are shown, beside the middle one, in times from frame to frame."""
+    times: npt.NDArray[np.float32]
+    """(H or 1, W or 1, 3) when red, green and blue are seen, after the middle of a row's exposure, in times from frame
+    to frame."""
+    unsure: npt.NDArray[np.float32]
+    """(H or 1, W or 1) their standard deviation."""
+    shares: npt.NDArray[np.float64]
+    """(hypotheses,) probability of each of `ColorFields`."""
     too_fast: float
     """Share of the pixels seen in both frames whose change is not told by them, because it is too fast."""
 
-    def mean_change(self, modulation: F32) -> float:
-        """Return the change, rad, that a template has in it which is read off this very frame.
+    @property
+    def unknown(self) -> float:
+        """Share of the pixels that move so much that it shows, while the colours' times are not told apart."""
+        unsure = np.where(self.unsure > _TOLD * self.times.std(axis=-1), self.unsure, 0)
+        seen = np.count_nonzero(np.abs(np.nan_to_num(self.change)) * unsure > _UNNOTICED)
+        return float(seen / max(int(np.count_nonzero(np.isfinite(self.change))), 1))
+
+    def lags(self, modulation: F32) -> npt.NDArray[np.float64]:
+        """Return (3,) rad, the phase that each primary's template has in it which is read off this very frame.
 
         Parameters
         ----------
@@ -63,12 +93,20 @@ class FieldMotion(NamedTuple):
             Levels; the template's samples count by its square.
         """
         weight = runtime.to_host(modulation) ** 2 * np.isfinite(self.change)
-        total = (np.nan_to_num(self.change) * weight).sum(dtype=np.float64)
-        return float(total / max(weight.sum(dtype=np.float64), TINY))
+        ahead = _summed(np.nan_to_num(self.change) * weight, self.times.shape)
+        return np.asarray(np.tensordot(ahead, self.times, axes=2) / max(weight.sum(dtype=np.float64), TINY))
 
 
-def measure_motion(phase: F32, before: F32, field_times: npt.NDArray[np.float64], period_px: float) -> FieldMotion:
-    """Measure by how much the phase has changed around every pixel.
+def measure_motion(
+    phase: F32,
+    before: F32,
+    fields: ColorFields,
+    shares: npt.NDArray[np.float64] | None,
+    period_px: float,
+    *,
+    rows_last: bool = False,
+) -> FieldMotion:
+    """Measure by how much the phase has changed around every pixel, and when the colours were seen.
 
     Parameters
     ----------
@@ -76,10 +114,14 @@ def measure_motion(phase: F32, before: F32, field_times: npt.NDArray[np.float64]
         rad, modulo whole cycles; NO_PHASE where there is none.
     before : (H, W) float32
         The frame before; NaN where there is none.
-    field_times : (3,)
-        When red, green and blue are shown, in times from frame to frame.
+    fields : ColorFields
+        When the projector shows its colours.
+    shares : (hypotheses,), optional
+        What the frame before has told of that; None: nothing.
     period_px : float
-        Camera px a cycle.
+        Camera px per cycle.
+    rows_last : bool
+        Whether the camera's rows are the image's columns.
 
     Raises
     ------
@@ -89,7 +131,8 @@ def measure_motion(phase: F32, before: F32, field_times: npt.NDArray[np.float64]
     now = runtime.to_host(checks.read_array("phase", phase, (None, None), np.float32))
     then = runtime.to_host(checks.read_array("before", before, now.shape, np.float32))
     both = (now < LEAST_NO_PHASE) & np.isfinite(then)
-    step = np.where(both, now - np.where(both, then, np.float32(0)), np.float32(0))
+    then = np.where(both, then, np.float32(0))
+    step = np.where(both, now - then, np.float32(0))
     size = (-(-now.shape[1] // _GRID_PX), -(-now.shape[0] // _GRID_PX))
     sigmas = (SIGMA_ALONG * period_px / _GRID_PX, SIGMA_ACROSS * period_px / _GRID_PX)
 
@@ -103,10 +146,72 @@ def measure_motion(phase: F32, before: F32, field_times: npt.NDArray[np.float64]
     told = np.abs(change) < _FASTEST
     filled = share > _FILLED
     change = np.where(told & filled, change, np.nan).astype(np.float32)
-    everywhere = cv2.resize(change, now.shape[::-1], interpolation=cv2.INTER_NEAREST)
-    seen = max(float(share[filled].sum()), TINY)
-    times = np.asarray(field_times, np.float64) - np.sort(field_times)[1]
-    return FieldMotion(np.asarray(everywhere, np.float32), times, float(share[filled & ~told].sum()) / seen)
+    everywhere = np.asarray(cv2.resize(change, now.shape[::-1], interpolation=cv2.INTER_NEAREST), np.float32)
+    too_fast = float(share[filled & ~told].sum()) / max(float(share[filled].sum()), TINY)
+    rows = 1 if fields.row == 0 else now.shape[1 if rows_last else 0]
+    times = np.expand_dims(fields.times(rows), 1 if rows_last else 2)
+    expected = fields.expect(shares)
+    if len(expected) > 1:
+        unwrapped = np.where(both, then + step - 2 * np.pi * np.rint(step / (2 * np.pi)), 0).astype(np.float32)
+        likelihood = _log_likelihood(unwrapped, np.where(both, everywhere, np.nan), times, period_px)
+        expected *= np.exp(likelihood - likelihood.max())
+        expected /= expected.sum()
+    mean_times = np.tensordot(expected, times, axes=1)
+    spread = np.tensordot(expected, (times - mean_times) ** 2, axes=1).mean(axis=-1)
+    return FieldMotion(
+        everywhere, mean_times.astype(np.float32), np.sqrt(spread).astype(np.float32), expected, too_fast
+    )
+
+
+def _summed(values: npt.NDArray[np.float32], shape: tuple[int, ...]) -> npt.NDArray[np.float64]:
+    """Return sums of (H, W) over those axes that a shape (H or 1, W or 1, ...) has not."""
+    axes = tuple(axis for axis in (0, 1) if shape[axis] == 1)
+    return np.asarray(values.sum(axis=axes, keepdims=True, dtype=np.float64))
+
+
+def _log_likelihood(
+    phase: npt.NDArray[np.float32],
+    change: npt.NDArray[np.float32],
+    times: npt.NDArray[np.float64],
+    period_px: float,
+) -> npt.NDArray[np.float64]:
+    """Return that of times (N, H or 1, W or 1, 3), by the second harmonic that motion puts into a phase (H, W), rad."""
+    every = max(1, int(period_px / _SAMPLES))
+    phase, change = phase[::every, ::every], change[::every, ::every]
+    times = times[:, slice(None, None, every), slice(None, None, every)]
+    seen = np.isfinite(change).astype(np.float32)
+
+    def around(values: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
+        sigmas = (_ALONG * period_px / every, _ACROSS * period_px / every)
+        return np.asarray(cv2.GaussianBlur(values, (0, 0), sigmas[0], sigmaY=sigmas[1]), np.float32)
+
+    share = around(seen)
+    straight = seen * (phase - around(seen * phase) / np.maximum(share, TINY))
+    deviation = straight - around(straight) / np.maximum(share, TINY)  # without what bends
+    sure = (seen > 0) & (share > _SURE)
+    if not sure.any():
+        return np.zeros(len(times))
+    size = float(np.median(np.abs(deviation[sure]))) / 0.6745  # a standard deviation, if it is Gaussian
+    weight = sure / (1 + (deviation / max(_HALF_SIGMAS * size, TINY)) ** 2)
+    # What motion makes of these two waves; and the waves themselves, the same all over the frame, as a template leaves
+    # them that has the mean motion in it: they are fitted to what each hypothesis leaves.
+    both = np.stack([np.cos(2 * phase), np.sin(2 * phase)])
+    waves, delays, shape = np.nan_to_num(change) * both, channel_delays(), times.shape[1:]
+    factors = np.stack([-(times @ np.cos(2 * delays)) / 3, times @ np.sin(2 * delays) / 3])
+    explained, predicted = np.zeros(len(times)), np.zeros(len(times))  # sums of squares
+    left = np.tile(np.tensordot(weight * both, deviation, axes=2), (len(times), 1))
+    for factor, wave in zip(factors, waves, strict=True):
+        explained += 2 * (factor * _summed(weight * wave * deviation, shape)).sum(axis=(1, 2))
+        for other, other_wave in zip(factors, waves, strict=True):
+            predicted += (factor * other * _summed(weight * wave * other_wave, shape)).sum(axis=(1, 2))
+        for k in range(2):
+            left[:, k] -= (factor * _summed(weight * both[k] * wave, shape)).sum(axis=(1, 2))
+    normal = np.tensordot(weight * both, both, axes=((1, 2), (1, 2))) + TINY * np.eye(2)
+    explained += (left * np.linalg.solve(normal, left.T).T).sum(axis=1) - predicted
+    variance = float((weight * deviation**2).sum() / max(weight.sum(), TINY))
+    samples = (2 * every / period_px) ** 2 / max(variance, TINY)
+    # More samples do not help beyond what a prediction is off by itself.
+    return np.asarray(0.5 * samples * explained / (1 + _DOUBT**2 * samples * predicted[explained.argmax()]))
 
 
 @ti.func
@@ -131,8 +236,8 @@ def _hold_still_kernel(mixed: bool) -> Any:
         mixing: F32Array3,  # (N, 3, 3)
         template: F32Array2,  # (3, terms)
         nodes: F32Array3,  # (Hg, Wg, 6) A and B
-        primaries: F32Array2,  # (7, 3) M, its inverse, and their times
-        lag: f32,  # rad, what change the template has in it
+        primaries: F32Array2,  # (7, 3) M, its inverse, and the phase that the template has of them, rad
+        times: F32Array3,  # (H or 1, W or 1, 3) when the primaries are seen, in times from frame to frame
         spacing: f32,  # px between two nodes
         out: F32Array3,  # (H, W, 3) levels
     ):
@@ -141,19 +246,20 @@ def _hold_still_kernel(mixed: bool) -> Any:
             moved, seen = change[y, x], color_at(image, y, x)
             if has_phase(phase[y, x]) and not ti.math.isnan(moved):
                 harmonics = load_harmonics(template)
-                matrix, inverse, times = ti.Matrix.zero(f32, 3, 3), ti.Matrix.zero(f32, 3, 3), vec3(0.0)
+                matrix, inverse, lags = ti.Matrix.zero(f32, 3, 3), ti.Matrix.zero(f32, 3, 3), vec3(0.0)
                 for row, column in ti.static(ti.ndrange(3, 3)):
                     matrix[row, column] = primaries[row, column]
                     inverse[row, column] = primaries[3 + row, column]
-                    times[column] = primaries[6, column]
+                    lags[column] = primaries[6, column]
                 v = ti.min(ti.max((y + 0.5) / spacing - 0.5, 0.0), ti.cast(nodes.shape[0] - 1, ti.f32))
                 u = ti.min(ti.max((x + 0.5) / spacing - 0.5, 0.0), ti.cast(nodes.shape[1] - 1, ti.f32))
                 j = ti.cast(u, ti.i32)
                 color, _ambient = node_model(nodes, v, j)
                 right_color, _right = node_model(nodes, v, j + 1)
                 color += (u - j) * (right_color - color)
-                at_once = shifted_cycle(harmonics, inverse, phase[y, x], -lag * times)
-                in_turns = shifted_cycle(harmonics, inverse, phase[y, x], (moved - lag) * times)
+                seen_at = color_at(times, ti.min(y, times.shape[0] - 1), ti.min(x, times.shape[1] - 1))
+                at_once = shifted_cycle(harmonics, inverse, phase[y, x], -lags)
+                in_turns = shifted_cycle(harmonics, inverse, phase[y, x], moved * seen_at - lags)
                 added = color * (matrix @ (in_turns - at_once))
                 if ti.static(mixed):
                     surface = surface_matrix(mixing, surface_at(labels, y, x))
@@ -171,7 +277,7 @@ def hold_still(
     motion: FieldMotion,
     model: ChannelModel,
     crosstalk: Crosstalk,
-    lag: float = 0.0,
+    lags: npt.ArrayLike = (0.0, 0.0, 0.0),
     out: F32 | None = None,
 ) -> F32:
     """Return the image as it would be if nothing moved between its colours.
@@ -188,8 +294,8 @@ def hold_still(
         What it was fitted with.
     crosstalk : Crosstalk
         The same.
-    lag : float
-        rad, what change the model's template has in it; see `FieldMotion.mean_change`.
+    lags : (3,)
+        rad, the phase that the model's template has in it; see `FieldMotion.lags`.
     out : (H, W, 3) float32, optional
         Where the result goes.
 
@@ -208,28 +314,28 @@ def hold_still(
     change = checks.read_array("change", motion.change, shape, np.float32)
     out = checks.out_buffer("out", out, (*shape, 3), np.float32)
     white, surfaces = crosstalk.matrix.astype(np.float64), crosstalk.surfaces
-    primaries = np.vstack([white, np.linalg.inv(white), motion.times]).astype(np.float32)
+    primaries = np.vstack([white, np.linalg.inv(white), lags]).astype(np.float32)
     look = (image, fit.phase, fit.brightness, change, surfaces.labels, surfaces.mixing, model.template, model.nodes)
-    _hold_still_kernel(surfaces.mixed)(*look, primaries, lag, model.gains.spacing_px, out)
+    _hold_still_kernel(surfaces.mixed)(*look, primaries, motion.times, model.gains.spacing_px, out)
     return out
 
 
 @kernel
 def doubt_motion_kernel(
     change: F32Array2,  # (H, W) rad; NaN where it is not known
-    spread: f32,  # of the times of the three primaries
+    doubts: F32Array2,  # (H or 1, W or 1) standard deviation of the primaries' times, in times from frame to frame
     precision: F32Array2,  # (H, W) 1 / rad^2
     out_misfit: F32Array2,  # (H, W) in units of the precision's variance; added to
 ):
     for pixel in range(change.shape[0] * change.shape[1]):
         y, x = pixel // change.shape[1], pixel % change.shape[1]
         if not ti.math.isnan(change[y, x]):
-            doubt = _DOUBT * spread * change[y, x]
+            doubt = change[y, x] * doubts[ti.min(y, doubts.shape[0] - 1), ti.min(x, doubts.shape[1] - 1)]
             out_misfit[y, x] = doubted(out_misfit[y, x], doubt, precision[y, x])
 
 
 def doubt_motion(motion: FieldMotion, precision: F32, out: F32) -> None:
-    """Add to the phases' misfit what is unsure of a motion that was undone.
+    """Add to the phases' misfit what is unsure of a motion that was undone, or is left for want of times.
 
     Parameters
     ----------
@@ -249,4 +355,5 @@ def doubt_motion(motion: FieldMotion, precision: F32, out: F32) -> None:
     shape = (int(precision.shape[0]), int(precision.shape[1]))
     change = checks.read_array("change", motion.change, shape, np.float32)
     out = checks.out_buffer("misfit", out, shape, np.float32)
-    doubt_motion_kernel(change, float(np.std(motion.times)), precision, out)
+    doubts = np.hypot(_DOUBT * motion.times.std(axis=-1), motion.unsure)
+    doubt_motion_kernel(change, doubts, precision, out)

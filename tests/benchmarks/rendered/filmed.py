@@ -20,6 +20,8 @@ from drawn_rigs import DrawnRig, draw_rig
 from drawn_scenes import Body, Scene, draw_scene, mm_per_cycle, printed, turned
 from ray_caster import BALL, BOX, F32, F64, NOTHING, RELIEF, Truth, rows_of_rays, true_at_centers
 
+from pipeline import DecodeSettings
+
 Mask = npt.NDArray[np.bool_]
 _TRUTH = {
     "place": float,
@@ -55,6 +57,14 @@ class Shutter:
     cycle_s: float | None = None  # red, green and blue one after another, a third of it each; None: all at once
     start_s: float = 0.0  # of the first exposure, after the start of a red field
     drift: float = 0.0  # by which part of itself a frame's time is longer by the projector's clock
+
+    def settings(self, stripes: str, height: int) -> DecodeSettings:
+        """Return what a rig file says of it."""
+        fields: dict[str, object] | None = None
+        if self.cycle_s is not None:
+            thirds = [(k * self.cycle_s / 3, (k + 1) * self.cycle_s / 3) for k in range(3)]
+            fields = {"frame_s": self.frame_s, "cycle_s": self.cycle_s, "shown_s": thirds}
+        return DecodeSettings.of(stripes=stripes, row_s=self.readout_s / height, fields=fields)
 
     def row_starts(self, number: int, height: int) -> F64:
         """Return when the rows of a frame begin to be exposed, s."""
@@ -280,8 +290,9 @@ class Filming:
     """Draws the frames of a film before a rig, at a speed; 0: at its own, but at rest while a frame is exposed."""
 
     def __init__(self, photographer: Photographer, shutter: Shutter, film: Film, speed_mm_s: float, seed: int) -> None:
-        self.photographer, self.shutter, self.film, self.seed = photographer, shutter, film, seed
+        self.photographer, self.film, self.seed = photographer, film, seed
         self.frozen = speed_mm_s == 0
+        self.shutter = replace(shutter, cycle_s=None) if self.frozen else shutter
         self.pace = 1.0 if self.frozen else speed_mm_s / film.speed_mm_s  # seconds of the film in one of the camera's
         self.calibration = calibration_for(photographer.calibration, PATTERN)
         rig, geometry = photographer.rig, photographer.geometry

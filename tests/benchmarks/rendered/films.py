@@ -4,7 +4,8 @@
 
 A row is a film before a rig at a speed, mm/s; 0 is the reference: at rest while a frame is exposed. The geometry is the
 true one, matrix and response are measured on the rig's own ramps, the pattern is the coded one with its response
-undone, the settings are the default ones, and every frame has the one before as `previous`. Figures:
+undone, the settings are the default ones but for what a rig file says of colours and rows, and every frame has the one
+before as `previous`. Figures:
 
 - RMS, 99.9 % and bias of the depth of what moves (of the head where a hand passes), mm, inside its surfaces: further
   from every edge than 4 px and what the fastest things move in half an exposure. Of pixels that are absolute and right;
@@ -38,7 +39,7 @@ from drawn_figures import delivered
 from drawn_frames import Photographer
 from filmed import FILMS, RAYS, Drawn, Filming, film_rigs
 
-from pipeline import DecodedFrame, Decoder, DecodeSettings
+from pipeline import DecodedFrame, Decoder
 from pipeline.errors import DecodeWarning
 from tikernels import runtime
 
@@ -183,7 +184,9 @@ def judge(filming: Filming, frames: int, folder: Path | None) -> Verdict:
     decoder: Decoder | None = None
     frame: DecodedFrame | None = None
     for number, drawn in enumerate(drawn_frames(filming, frames, folder)):
-        image, settings = delivered(rig, drawn.levels, DecodeSettings(stripes=stripes), calibration)
+        image, settings = delivered(
+            rig, drawn.levels, filming.shutter.settings(stripes, len(drawn.levels)), calibration
+        )
         decoder = decoder or Decoder(settings, calibration, arch="cpu")
         start = time.process_time()
         frame = decoder.decode(image, previous=frame)

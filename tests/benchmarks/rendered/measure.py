@@ -206,7 +206,7 @@ def other_light(studio: Studio) -> Iterator[str]:
     names = ("corner", "lying_corner", "colored_corner", "gloss", "dark_beside_bright", "deep", "deep_out_of_focus",
              "moving", "in_turns_still", "in_turns")  # fmt: skip
     yield from (f"- *{name.replace('_', ' ')}*: {scenes()[name].notes}" for name in names)
-    yield "- *undone*: by `field_times` and the frame before"
+    yield "- *undone*: by `fields` and the frame before"
     yield ""
     yield from table(_HEADINGS)
     for name in names:

@@ -9,6 +9,7 @@ from typing import get_args
 import cv2
 import numpy as np
 import pytest
+from support.exposures_off_cycle import FIELDS
 from support.posed_boards import CAMERA_PX, PATTERN, PROJECTOR_PX, exact_poses, scaled
 
 from pipeline import Decoder, DecodeSettings
@@ -19,6 +20,7 @@ from pipeline.diagnosis.rig_check import check_surface
 from pipeline.models import CameraState, SensorPart
 from pipeline.orders.order_finder import OrderFinder
 from pipeline.simulation import TYPICAL_CROSSTALK, SimulationSettings, simulate_frame, simulated_rig
+from tikernels.phase.color_fields import ColorFields
 
 CROSSTALK = np.array(TYPICAL_CROSSTALK)
 PERIODS = {None: 2 * 768 / 44, "contrast": 768 / 44, "contrast2": 2 * 768 / 44}
@@ -58,6 +60,27 @@ def decoded(image, calibration=None, previous=None, **settings):
             warnings.simplefilter("ignore")
             before = decoder.decode(previous)
     return said(lambda: decoder.decode(np.ascontiguousarray(image), previous=before))
+
+
+#: Settings of colours one after another, in an unknown order, before a rolling shutter.
+FREE = {"fields": {"frame_s": 1 / 30, "cycle_s": 1 / 60}, "row_s": 0.02 / 240}
+
+
+def rest():
+    return photographed(scene="bust")
+
+
+def moving(z_mm):
+    return photographed(crosstalk_matrix=((1, 0, 0), (0, 1, 0), (0, 0, 1)), object_motion_mm=(0, 0, z_mm))
+
+
+def rolling():
+    """Return a frame whose colours a rolling shutter sees as they come nearer by 8 mm from frame to frame."""
+    times = np.linspace(-1 / 6, 1 / 6, 9)
+    positions = np.stack([moving(-8.0 * (1 + time)) for time in times])
+    seen = ColorFields(0.5, 1.2 / 240).times(240)[5]
+    nearest = np.abs(seen[..., None] - times).argmin(axis=-1)
+    return np.stack([positions[nearest[:, k], np.arange(240), :, k] for k in range(3)], axis=-1)
 
 
 def frame(code=None, **fault):
@@ -196,10 +219,16 @@ CAUSES = {
     "other crosstalk": (lambda: by_crosstalk(np.eye(3), gamma=2.0), lambda: by_crosstalk(CROSSTALK, gamma=2.0)),
     "odd colours": (lambda: by_crosstalk(np.eye(3)), lambda: by_crosstalk(CROSSTALK)),
     "too fast": (
-        lambda: decoded(
-            photographed(scene="plane"), rig(), photographed(scene="bust"), field_times=(-1 / 3, 0.0, 1 / 3)
-        ),
-        lambda: decoded(photographed(seed=1), rig(), photographed(), field_times=(-1 / 3, 0.0, 1 / 3)),
+        lambda: decoded(photographed(scene="plane"), rig(), photographed(scene="bust"), fields=FIELDS),
+        lambda: decoded(photographed(seed=1), rig(), photographed(), fields=FIELDS),
+    ),
+    "fields unknown": (
+        lambda: decoded(photographed(scene="bust", object_motion_mm=(0, 0, -3)), rig(), rest(), **FREE),
+        lambda: decoded(photographed(scene="bust", seed=1), rig(), rest(), **FREE),
+    ),
+    "field order shown": (
+        lambda: decoded(rolling(), known(crosstalk_matrix=np.eye(3)), moving(0.0), **FREE),
+        lambda: decoded(moving(-8.0), known(crosstalk_matrix=np.eye(3)), moving(0.0), **FREE),
     ),
     "exposure_s": (lambda: camera({"exposure_s": 0.01}, exposure_s=0.02), lambda: camera({"gain": 1.0}, gain=2.0)),
     "gain": (lambda: camera({"gain": 1.0}, gain=2.0), lambda: camera({"gain": 1.0}, gain=1.0)),

@@ -5,6 +5,7 @@ import threading
 import cv2
 import numpy as np
 import pytest
+from support.exposures_off_cycle import FIELDS
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import pipeline
@@ -392,14 +393,38 @@ def test_motion_between_colours_in_turns_is_undone():
     moves = np.abs(rest.phase - photograph(0.0).phase) > 0.2
     ball = cv2.erode(moves.astype(np.uint8), np.ones((15, 15))) > 0
     errors = []
-    for times in (None, (1 / 6, 1 / 2, 5 / 6)):
-        decoder, seen = Decoder(DecodeSettings(field_times=times), rig, arch="cpu"), None
+    for fields in (None, FIELDS):
+        decoder, seen = Decoder(DecodeSettings(fields=fields), rig, arch="cpu"), None
         for image in film:
             seen = decoder.decode(image, previous=seen)
         error = np.angle(np.exp(1j * (seen.wrapped_phase - truth.wrapped_phase)))[ball & seen.mask & truth.mask]
         errors.append(error.std())
     assert errors[0] > 0.02
     assert errors[1] < 0.3 * errors[0]
+
+
+def test_after_a_dropped_frame_motion_is_that_of_two():
+    """The ball of the film above, of which the second frame is missing."""
+    step = -0.7
+
+    def photograph(nearer: float, moving: float = 0.0):
+        moved = {"object_motion_mm": (0, 0, nearer), "field_motion_mm": (0, 0, moving)}
+        return simulated("ball", noise_levels=0.0, **moved)[0]
+
+    rig, rest = simulated()[1], photograph(7 * step)
+    ball = np.abs(rest.phase - photograph(0.0).phase) > 0.2
+    ball = cv2.erode(ball.astype(np.uint8), np.ones((15, 15))) > 0
+    errors = []
+    for elapsed in (1.0, 2.0):
+        decoder = Decoder(DecodeSettings(fields=FIELDS), rig, arch="cpu")
+        before = decoder.decode(photograph(0.0, step).image)
+        seen = decoder.decode(photograph(6 * step, step).image, previous=before, elapsed=elapsed)
+        error = np.angle(np.exp(1j * (seen.wrapped_phase - rest.phase)))[ball & seen.mask]
+        errors.append(abs((error * np.exp(-2j * rest.phase[ball & seen.mask])).mean()))
+    assert errors[0] > 0.005
+    assert errors[1] < 0.3 * errors[0]
+    with pytest.raises(SettingsError, match="elapsed is 0"):
+        decoder.decode(rest.image, previous=before, elapsed=0)
 
 
 @pytest.mark.parametrize("leak, bound", [(0.0, 0.004), (0.05, 0.08)])

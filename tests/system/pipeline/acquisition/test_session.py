@@ -4,7 +4,6 @@ import time
 from dataclasses import replace
 from itertools import pairwise
 
-import numpy as np
 import pytest
 from support.faulty_rigs import FRAMES, Bench, Faulty, number_in, settings
 
@@ -288,18 +287,18 @@ def test_a_closed_terminal_is_nothing_to_nohup():
 
 
 def test_colours_one_after_another_are_said_to_whoever_decodes(tmp_path):
-    """A frame has its middle colour's time, and the folder holds the settings to undo motion between them by."""
-    fields = {"red_s": 0.001, "green_s": 0.004, "blue_s": 0.002}
+    """The folder holds what decoding needs to undo motion between them."""
+    fields = {"red_s": (0.0, 0.0003), "green_s": (0.0003, 0.0006), "blue_s": (0.0007, 0.001)}
     rig = settings()
-    plain = captured(Bench(rig), tmp_path / "plain", CapturePlan(1))
-    told = rig.model_copy(update={"projector": rig.projector.model_validate({**vars(rig.projector), "fields": fields})})
-    captured(Bench(told), tmp_path / "told", CapturePlan(1))
-    assert plain.n_frames == FRAMES
+    captured(Bench(rig), tmp_path / "plain", CapturePlan(1))
     assert not (tmp_path / "plain" / "settings.toml").exists()
-    period_s = told.timing.period_s
-    times = DecodeSettings.read(tmp_path / "told" / "settings.toml").field_times
-    np.testing.assert_allclose(times, np.array([0.001, 0.004, 0.002]) / period_s)
-    assert told.projector.fields.middle_s == 0.002
-    frames = [line for line in log_of(tmp_path / "told") if line["event"] == "frame"]
-    steps = np.diff([line["time"] - line["pulse_s"] for line in frames])
-    assert np.abs(steps).max() < 1e-6
+    projector = rig.projector.model_validate({**vars(rig.projector), "fields": fields, "colour_cycle_s": 0.001})
+    camera = rig.camera.model_copy(update={"exposure_s": 0.001, "row_s": 1e-5})
+    captured(
+        Bench(rig.model_copy(update={"projector": projector, "camera": camera})), tmp_path / "told", CapturePlan(1)
+    )
+    told = DecodeSettings.read(tmp_path / "told" / "settings.toml")
+    assert told.row_s == 1e-5
+    assert (told.fields.frame_s, told.fields.cycle_s) == (rig.timing.period_s, 0.001)
+    assert told.fields.shown_s.tolist() == [list(fields[f"{name}_s"]) for name in ("red", "green", "blue")]
+    assert not told.fields.locked

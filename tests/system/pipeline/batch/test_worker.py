@@ -2,16 +2,19 @@
 
 import time
 from concurrent.futures import wait
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support.recorded_footage import record
 
-from pipeline import DecodeSettings
+from pipeline import Decoder, DecodeSettings
 from pipeline.batch import worker as workers
 from pipeline.batch.job import Job
 from pipeline.batch.worker import GoodFrame, Worker
 from pipeline.errors import OutputError
+from pipeline.footage.opening import frame_times
 from pipeline.footage.source import BadFrame, StoredAs
 from pipeline.output.store_files import StoreFiles, marked_frames
 
@@ -42,6 +45,24 @@ def test_only_what_is_missing_is_stored_and_bad_frames_are_told(job, tmp_path):
     assert sorted(each.number for each in told if isinstance(each, GoodFrame)) == [0, 2, 5]
     (bad,) = (each for each in told if isinstance(each, BadFrame))
     assert bad.number == 4 and "missing" in bad.reason
+
+
+def test_a_frame_knows_how_long_after_the_last_one_it_comes(job, tmp_path, monkeypatch):
+    """Where colours come one after another; frame 4 is missing."""
+    frame_s = float(np.diff(frame_times(job.open()).seconds).mean())
+    job = replace(job, settings=DecodeSettings.of(fields={"frame_s": frame_s, "cycle_s": frame_s}))
+    job.make_store(job.open())
+    (tmp_path / "film.zarr" / "frames" / "c.4.0.0.0").unlink()
+    elapsed, decode = [], Decoder.decode
+
+    def noting(self, image, previous=None, out=None, since=1.0):
+        if previous is not None:
+            elapsed.append(since)
+        return decode(self, image, previous, out, since)
+
+    monkeypatch.setattr(Decoder, "decode", noting)
+    Worker(job).decode([(range(N_FRAMES), frozenset(range(N_FRAMES)))], lambda outcome: None)
+    assert elapsed == [1, 1, 1, 2]
 
 
 def test_frames_are_told_as_they_are_done(job, monkeypatch):

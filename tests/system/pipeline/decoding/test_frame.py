@@ -71,11 +71,11 @@ def test_another_thread_may_look_while_the_next_frame_is_decoded(arch):
 def test_what_travels_to_the_next_frame(cpu):
     decoder, images, (frame, _) = frames("cpu", 2)
     memory = frame.memory
-    assert memory.checked((96, 128), "horizontal") is memory
+    assert memory.checked((96, 128), "horizontal", 2.0).elapsed == 2.0
     with pytest.raises(ShapeError, match="frame is 64x48 but the one before is 128x96"):
-        memory.checked((48, 64), "horizontal")
+        memory.checked((48, 64), "horizontal", 1.0)
     with pytest.raises(SettingsError, match="stripes are vertical"):
-        memory.checked((96, 128), "vertical")
+        memory.checked((96, 128), "vertical", 1.0)
     # It does not change with the frame that took it.
     before = runtime.to_host(memory.surface.unwrapped)
     decoder.decode(images[1], previous=frame)

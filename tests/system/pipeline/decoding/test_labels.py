@@ -59,6 +59,14 @@ def test_coordinates_of_a_part_are_those_of_the_whole_picture():
     np.testing.assert_array_equal(found["x"][1], [100, 101, 102, 103])
 
 
+def test_rows_of_a_rolling_shutter_have_times():
+    """From the first row of the camera's picture, of which a part may be decoded."""
+    assert "row_time" not in axis_coordinates(("y", "x"), (4, 3))
+    axes, values, labels = axis_coordinates(("y", "x"), (4, 3), (100, 50), 2e-5)["row_time"]
+    assert (axes, labels["units"]) == (("y",), "s")
+    np.testing.assert_allclose(values, [1e-3, 1.02e-3, 1.04e-3])
+
+
 def test_times_have_a_date_only_where_one_is_known():
     assert list(frame_coordinates(3)) == ["frame"]
     seconds = np.array([0, 0.1, 0.3])

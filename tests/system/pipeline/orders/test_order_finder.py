@@ -22,7 +22,7 @@ def memory(known, errors):
         np.array([np.nan, *errors], np.float32),
         np.zeros((1 + len(known), 3), np.float32),
     )
-    return FrameMemory("horizontal", None, orders, None)
+    return FrameMemory("horizontal", None, orders, None, None)
 
 
 def patches(offsets):

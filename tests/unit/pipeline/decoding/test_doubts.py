@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
-from pipeline.decoding.doubts import few_pixels_doubt, fringe_doubt, light_doubts, over_exposure_doubt
+from pipeline.decoding.doubts import few_pixels_doubt, fringe_doubt, light_doubts, motion_doubts, over_exposure_doubt
 from pipeline.decoding.frame_reader import LinearFrame
 from pipeline.decoding.surface_search import NoModelFits
+from tikernels.phase.color_fields import ColorFields
+from tikernels.phase.field_motion import FieldMotion
 from tikernels.phase.frame_statistics import FrameLevels
 
 
@@ -71,38 +73,53 @@ def test_noise_is_no_fine_fringe(cpu):
 
 
 @pytest.mark.parametrize(
-    "contrast, mismatch, misfit, fast, known, said",
+    "contrast, mismatch, misfit, known, said",
     [
-        (0.4, 0.01, 0.0, 0.01, True, []),
-        (0.05, 0.01, 0.0, 0.0, True, ["contrast is only 5%"]),
-        (0.4, 0.3, 0.02, 0.0, True, ["differ by 30%"]),
-        (0.4, 0.3, 0.0, 0.0, False, []),  # nothing is known that it could contradict
-        (0.05, 0.3, 0.0, 0.0, True, ["contrast is only 5%", "differ by 30%"]),
-        (0.4, 0.01, 0.0, 0.2, True, ["20% of the surface moves"]),
+        (0.4, 0.01, 0.0, True, []),
+        (0.05, 0.01, 0.0, True, ["contrast is only 5%"]),
+        (0.4, 0.3, 0.02, True, ["differ by 30%"]),
+        (0.4, 0.3, 0.0, False, []),  # nothing is known that it could contradict
+        (0.05, 0.3, 0.0, True, ["contrast is only 5%", "differ by 30%"]),
         (
             0.4,
             0.01,
             0.03,
-            0.0,
             True,
             ["colours of 40% of the surface, yellow above all, where phases may be off by some 0.06 rad"],
         ),
     ],
 )
-def test_the_light(contrast, mismatch, misfit, fast, known, said):
+def test_the_light(contrast, mismatch, misfit, known, said):
     odd = NoModelFits(misfit, 0.4, "yellow") if misfit else None
-    doubts = light_doubts(contrast, mismatch, odd, fast, lambda: None, constant_known=known)
+    doubts = light_doubts(contrast, mismatch, odd, lambda: None, constant_known=known)
     assert len(doubts) == len(said)
     for doubt, part in zip(doubts, said, strict=True):
         assert part in doubt
-    held = {"low contrast": contrast < 0.1, "other crosstalk": known and mismatch > 0.2, "too fast": fast > 0.1}
+    held = {"low contrast": contrast < 0.1, "other crosstalk": known and mismatch > 0.2}
     held["odd colours"] = odd is not None and not held["other crosstalk"]
     assert {doubt.key for doubt in doubts} == {key for key, holds in held.items() if holds}
 
 
+@pytest.mark.parametrize(
+    "change, unsure, too_fast, keys",
+    [
+        (0.3, 0.0, 0.0, set()),
+        (0.3, 0.1, 0.0, {"fields unknown"}),
+        (0.01, 0.1, 0.0, set()),  # nearly at rest
+        (0.3, 0.0, 0.2, {"too fast"}),
+    ],
+)
+def test_motion_between_colours(change, unsure, too_fast, keys):
+    times = np.array([[[-0.1, 0.0, 0.1]]], np.float32)
+    changes, unsures = np.full((8, 8), change, np.float32), np.full((1, 1), unsure, np.float32)
+    motion = FieldMotion(changes, times, unsures, np.ones(64) / 64, too_fast)
+    doubts = motion_doubts(motion, ColorFields(0.5, shown=np.array([[0, 1], [1, 2], [2, 3]]) / 3), None)
+    assert {doubt.key for doubt in doubts} == keys
+
+
 def test_what_it_costs_is_said_in_mm(cpu):
     said = [
-        light_doubts(0.4, mismatch, odd, 0.0, lambda: 7.0, constant_known=True)[0]
+        light_doubts(0.4, mismatch, odd, lambda: 7.0, constant_known=True)[0]
         for mismatch, odd in ((0.3, None), (0.0, NoModelFits(0.03, 1.0, "red")))
     ]
     assert "phases may be off by as much, 0.30 rad (2.1 mm): colorphase inspect" in said[0]

@@ -158,6 +158,14 @@ def test_xarray_labels_everything(tmp_path):
         assert result.attrs["title"] and str(tmp_path) not in str(result.attrs)
 
 
+def test_rows_of_a_rolling_shutter_have_times(tmp_path):
+    make(tmp_path / "result.zarr", also={"settings": {"row_s": 2e-5}})
+    with xarray.open_zarr(tmp_path / "result.zarr", consolidated=False) as result:
+        assert result.points.coords["row_time"].dims == ("y",)
+        np.testing.assert_allclose(result.row_time, 2e-5 * np.arange(HEIGHT))
+    StoredResult(tmp_path / "result.zarr")
+
+
 def test_times_that_have_a_date(tmp_path):
     """A frame's time is known before it is decoded, so no run can lose it."""
     make(tmp_path / "result.zarr", since="2026-11-25T10:00:00Z")
