@@ -71,7 +71,7 @@ _DIMMEST = 0.05
 _MISFIT, _BRIGHTNESS = 0.002, 0.006
 # Of the contrast that light loses where it scatters under the surface, red as far as any and most of it, and blue a
 # quarter as far; see `pipeline.planning`.
-_SCATTERED, _LOST = 0.5, np.array([1, 1 / 4, 1 / 16])
+_SCATTERED, _LOST = 0.2, np.array([1, 1 / 4, 1 / 16])
 # Least that an entry changes to, as a fraction of itself, and by how much at the most, as one of its row.
 _LEAST, _MOST = -0.7, 0.5
 # The brightness tells where it is not further than this from what is usual, as a logarithm, and on so many places.
