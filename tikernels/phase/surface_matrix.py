@@ -69,8 +69,8 @@ _BLUR = 0.05
 _DIMMEST = 0.05
 # A surface tells z to this fraction of its light, and the brightness' harmonics to that one.
 _MISFIT, _BRIGHTNESS = 0.002, 0.006
-# Of the contrast that light loses where it scatters under the surface, red as far as any and most of it, and blue a
-# quarter as far; see `pipeline.planning`.
+# Of the contrast that red loses where light scatters under the surface. To first order the loss goes with the square of
+# the way, and green and blue get half and a quarter as far, in skin.
 _SCATTERED, _LOST = 0.2, np.array([1, 1 / 4, 1 / 16])
 # Least that an entry changes to, as a fraction of itself, and by how much at the most, as one of its row.
 _LEAST, _MOST = -0.7, 0.5
