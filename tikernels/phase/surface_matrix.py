@@ -69,8 +69,11 @@ _BLUR = 0.05
 _DIMMEST = 0.05
 # A surface tells z to this fraction of its light, and the brightness' harmonics to that one.
 _MISFIT, _BRIGHTNESS = 0.002, 0.006
-# Least that an entry changes to, and most, as fractions.
-_LEAST, _MOST = -0.7, 1.5
+# Of the contrast that red loses where light scatters under the surface. To first order the loss goes with the square of
+# the way, and green and blue get half and a quarter as far, in skin.
+_SCATTERED, _LOST = 0.2, np.array([1, 1 / 4, 1 / 16])
+# Least that an entry changes to, as a fraction of itself, and by how much at the most, as one of its row.
+_LEAST, _MOST = -0.7, 0.5
 # The brightness tells where it is not further than this from what is usual, as a logarithm, and on so many places.
 _USUAL_BRIGHTNESS, _LEAST_BRIGHTNESS = 0.5, 30
 # Places of the cycle that the phase's constant is the mean of.
@@ -241,7 +244,7 @@ def fit_matrices(
     own[:, 9:] = ambient - expected_ambient
     if before is not None:
         known, shared = len(before.matrices), before.shared
-        own[:known, :9] = np.clip(before.matrices / predicted[:known] - 1, _LEAST, _MOST).reshape(known, 9)
+        own[:known, :9] = (before.matrices / predicted[:known] - 1).reshape(known, 9)
         own[:known, 9:] = before.ambient - expected_ambient[:known]
     if not fit_light:
         usual = shared
@@ -260,7 +263,8 @@ def fit_matrices(
     change, change_shared = arrow.solve(right, right_shared)
     cost = found.cost + float((off * pull).sum() + off_shared @ pull_shared)
     own, shared = own + change, shared + change_shared
-    own[:, :9] = np.clip(own[:, :9], _LEAST, _MOST)
+    most = _MOST * predicted.sum(axis=2, keepdims=True) / np.maximum(predicted, TINY)
+    own[:, :9] = np.clip(own[:, :9], _LEAST, most.reshape(count, 9))
     matrices, besides, fitted_light = unpacked()
     constant = np.full(count, np.nan)
     if not fit_light:
@@ -347,21 +351,25 @@ def _prior_of_surfaces(
     predicted, level = prediction.matrices, samples.light.mean(axis=2, dtype=np.float64)
     count = len(predicted)
     seen = np.maximum(level - ambient, _DIMMEST * level.max(axis=1, keepdims=True))
-    # Independent errors: of every surface its entries, rows, contrasts and ambient light.
-    causes, rows = np.zeros((count, _COLUMNS, 18)), np.repeat(np.eye(3), 3, axis=0)
+    # Independent errors: of every surface its entries, rows, contrasts, ambient light, and how it scatters.
+    causes, rows = np.zeros((count, _COLUMNS, 19)), np.repeat(np.eye(3), 3, axis=0)
     causes[:, :9, :9] = np.eye(9)
     causes[:, :9, 9:12] = rows
     # Less contrast looks like more crosstalk: the three primaries together have next to none.
     even = predicted.mean(axis=1, keepdims=True) / np.maximum(predicted, TINY)
     causes[:, :9, 12:15] = (even - 1).reshape(count, 9, 1) * rows
-    causes[:, :9, 15:], causes[:, 9:, 15:] = -rows / seen[:, None], np.eye(3)
+    causes[:, :9, 15:18], causes[:, 9:, 15:18] = -rows / seen[:, None], np.eye(3)
+    # What a primary loses of its contrast is light without a fringe, like that of all three.
+    even = (predicted @ _LOST)[..., None] / 3 / np.maximum(predicted, TINY)
+    causes[:, :9, 18] = (even - _LOST).reshape(count, 9)
     expected = np.zeros((count, _COLUMNS))
     expected[:, :9] = (ambient - expected_ambient) / seen @ rows.T
     leaks = leak * predicted.sum(axis=1, keepdims=True) / np.maximum(predicted, TINY)
-    sigma = np.zeros((count, 18))
+    sigma = np.zeros((count, 19))
     sigma[:, :9] = np.hypot(_SPREAD * prediction.spread[:, None, None], leaks).reshape(count, 9)
     sigma[:, 9:12], sigma[:, 12:15] = _ROW, samples.contrast_doubt
-    sigma[:, 15:] = _AMBIENT_FRACTION * expected_ambient + _AMBIENT_SHARE * level.mean(axis=1, keepdims=True)
+    sigma[:, 15:18] = _AMBIENT_FRACTION * expected_ambient + _AMBIENT_SHARE * level.mean(axis=1, keepdims=True)
+    sigma[:, 18] = _SCATTERED
     scaled = causes * sigma[:, None]
     return expected, np.asarray(np.linalg.inv(scaled @ scaled.swapaxes(1, 2)))
 
