@@ -312,6 +312,7 @@ def choose_surfaces(
     neutral: NeutralLight,
     levels: FrameLevels,
     code_doubt: float,
+    scatter: float,
     lattice: Lattice,
     around: _Misfits,
     out: U8,
@@ -324,7 +325,7 @@ def choose_surfaces(
         Of single pixels; see `average_light`.
     cells : int32
         A bit for each surface that pixels of a cell of 8 x 16 may show; 0: its labels stay.
-    neutral, levels, code_doubt, lattice
+    neutral, levels, code_doubt, scatter, lattice
         See `surface_misfits`.
     around : (N, h, w) float32
         See `Relabelled`.
@@ -334,7 +335,7 @@ def choose_surfaces(
     misfits = runtime.empty((len(neutral.unmixing), *(int(n) for n in contrast.shape)), np.float32)
     # A pixel does not tell what its cycle's contrast is.
     even = float(np.hypot(code_doubt, UNEVEN))
-    fill_misfits(light, contrast, cells, neutral, levels, 1, even, misfits)
+    fill_misfits(light, contrast, cells, neutral, levels, 1, even, scatter, misfits)
     near, along = (
         np.exp(-0.5 * (np.arange(_BESIDE + 1) / sigma) ** 2).astype(np.float32) for sigma in (_NEAR_PX, _ALONG_PX)
     )

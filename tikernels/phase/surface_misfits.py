@@ -22,7 +22,7 @@ from tikernels.arrays import F32, I32, LevelsImage
 from tikernels.launching import kernel
 from tikernels.phase.color_balance import Gains, gain_at
 from tikernels.phase.crosstalk import Crosstalk, weighed_vector
-from tikernels.phase.frame_statistics import FrameLevels
+from tikernels.phase.frame_statistics import MEDIAN_SIZE, FrameLevels
 from tikernels.phase.phase_vector import SIGMAS, TINY, absolute_lanes, channel_mean, color_at, matrix_of, phase_weights
 from tikernels.phase.surface_matrix import waves
 from tikernels.phase.surfaces import matrix_lanes, through
@@ -55,6 +55,8 @@ MODEL_ERROR, _AMBIENT_ERROR = 0.01, 0.04
 _PHASES, _PLACES = 256, 1024
 # A code's contrast is told by what is around, a Gaussian in cycles.
 _CODE_CYCLES = 0.3
+# Errors that neighbours share, as JPEG's, are told by means along the stripes over this many cycles.
+_SHARED_CYCLES = 2.0
 
 
 class Lattice(NamedTuple):
@@ -250,6 +252,7 @@ def surface_misfits_kernel(
     read_variance: f32,  # levels^2 of a mean
     noise_gain: f32,  # levels, of a mean
     even: f32,  # standard deviation of a place's contrast, as a fraction, where blur is the usual
+    scatter: f32,  # by how much all of that is more
     out: F32Array3,  # (N, h, w) standard deviations; SAYS_NOTHING; undefined where a surface is not asked
     by_contrast: F32Array3,  # likewise: how that changes with the contrast, per 1; else (1, 1, 1)
 ):
@@ -291,7 +294,7 @@ def surface_misfits_kernel(
                         doubt = _AMBIENT_ERROR * ambient[surface, c]
                         noise = read_variance + noise_gain * ti.max(seen[c], 0.0) + wrong * wrong + doubt * doubt
                         variance += across * across * noise
-                    by_sigma = 1.0 / ti.sqrt(ti.max(variance, TINY))
+                    by_sigma = 1.0 / (scatter * ti.sqrt(ti.max(variance, TINY)))
                     result = ti.select(seen[0] > SAYS_NOTHING, (size - swing) * by_sigma, SAYS_NOTHING)
                     changes = swing * by_sigma
                     for k in range(count):
@@ -300,8 +303,10 @@ def surface_misfits_kernel(
                         by_contrast[surface, y, first + k] = changes[k]
 
 
-def surface_misfits(lattice: Lattice, neutral: NeutralLight, levels: FrameLevels, code_doubt: float) -> _Misfits:
-    """Return what each surface's matrix leaves over at every place.
+def surface_misfits(
+    lattice: Lattice, neutral: NeutralLight, levels: FrameLevels, code_doubt: float, scatter: float | None = None
+) -> tuple[_Misfits, float]:
+    """Return what each surface's matrix leaves over at every place, and by how much more that is than expected.
 
     Parameters
     ----------
@@ -313,22 +318,37 @@ def surface_misfits(lattice: Lattice, neutral: NeutralLight, levels: FrameLevels
         The frame's noise.
     code_doubt : float
         Standard deviation of a cycle's contrast by the pattern's code, as a fraction; 0: there is no code.
+    scatter : float, optional
+        By how much more residuals scatter than noise makes them; None: is measured.
 
     Returns
     -------
-    (N, h, w) float32
+    misfits : (N, h, w) float32
         Squares of standard deviations, at most 16; -1 where a place says nothing.
+    scatter : float
+        1 or more.
     """
     size, count = lattice.contrast.shape, len(neutral.unmixing)
     out = np.empty((count, *size), np.float32)
     by_contrast = np.empty_like(out) if code_doubt > 0 else None
     cells = np.full(cells_of(size), (1 << count) - 1, np.int32)
     even = _CORNERS if code_doubt > 0 else UNEVEN
-    fill_misfits(lattice.light, lattice.contrast, cells, neutral, levels, 2 * REACH_PX + 1, even, out, by_contrast)
+    fill_misfits(lattice.light, lattice.contrast, cells, neutral, levels, 2 * REACH_PX + 1, even, 1.0, out, by_contrast)
     said = lattice.says
     if by_contrast is not None:
         _take_off_code(lattice, out, by_contrast, said, code_doubt)
-    return np.where(said, np.minimum(out**2, MOST_MISFIT), np.float32(-1))
+    if scatter is None:
+        scatter = _scatter(lattice, out, said)
+    return np.where(said, np.minimum((out / scatter) ** 2, MOST_MISFIT), np.float32(-1)), scatter
+
+
+def _scatter(lattice: Lattice, residuals: _Misfits, said: _Mask) -> float:
+    """Return by how much more means of the least residuals, (N, h, w), scatter than those of independent noise."""
+    count = max(1, round(_SHARED_CYCLES * lattice.period_px / lattice.columns))
+    least = np.take_along_axis(residuals, np.abs(residuals).argmin(axis=0)[None], 0)[0]
+    means, share = (cv2.blur(part, (count, 1)) for part in (np.where(said, least, 0), said.astype(np.float32)))
+    means = means[share > 0.99]
+    return max(1.0, float(np.median(np.abs(means)) * np.sqrt(count)) / MEDIAN_SIZE) if len(means) else 1.0
 
 
 def fill_misfits(
@@ -339,13 +359,14 @@ def fill_misfits(
     levels: FrameLevels,
     pixels: int,
     even: float,
+    scatter: float,
     out: F32,
     by_contrast: F32 | None = None,
 ) -> None:
     """Do what `surface_misfits_kernel` does with means over some pixels."""
     noise = (levels.read_noise**2 / pixels, levels.noise_gain / pixels)
     changes = runtime.empty((1, 1, 1), np.float32) if by_contrast is None else by_contrast
-    surface_misfits_kernel(light, contrast, cells, *neutral, *noise, even, out, changes)
+    surface_misfits_kernel(light, contrast, cells, *neutral, *noise, even, scatter, out, changes)
     runtime.synchronize()
 
 
