@@ -27,7 +27,7 @@ from tikernels.phase.surface_misfits import (
     Lattice,
     NeutralLight,
     cells_of,
-    fill_misfits,
+    fill_residuals,
     place_lanes,
 )
 from tikernels.phase.surfaces import NO_SURFACE
@@ -53,9 +53,8 @@ _EDGE_PX = 4
 _BETTER = 0.3
 # A surface of fewer pixels is none.
 LEAST_PX = 400
-# No surface explains a place with a larger misfit, or a neighbourhood with one larger than this, also in units of what
-# is usual in the frame.
-_UNEXPLAINED, _UNEXPLAINED_AROUND, _UNUSUAL = 3.0, 1.4, 1.6
+# No surface explains a place with a larger misfit, or a neighbourhood with one larger than this.
+_UNEXPLAINED, _UNEXPLAINED_AROUND = 3.0, 1.4
 # What is left of unexplained places after an opening by this counts, px; of neighbourhoods, in cycles.
 _OPENING_PX, _OPENING_CYCLES = 7, 1.0
 
@@ -89,7 +88,7 @@ def relabel(
     lattice : Lattice
         The places.
     misfits : (N, h, w) float32
-        See `surface_misfits`.
+        Squares of residuals, at most `MOST_MISFIT`; -1 where a place says nothing.
     before : (h, w) uint8
         The surfaces that places are taken to show so far.
     founding : (N,) bool
@@ -148,13 +147,11 @@ def _averaged(lattice: Lattice, misfits: _Misfits, said: _Mask) -> tuple[_Misfit
 
 
 def _unusual_neighbourhoods(lattice: Lattice, misfit: _Misfits, said: _Mask) -> _Mask:
-    """Return where the misfit of places to their own surfaces is larger than elsewhere, cycle by cycle."""
+    """Return where the misfit of places to their own surfaces is more than noise, cycle by cycle."""
     sigma = SIGMA_ACROSS * lattice.period_px
-    share = lattice.blurred(said, sigma)
-    mean = lattice.blurred(np.where(said, np.minimum(misfit, _MOST_AROUND), 0), sigma) / np.maximum(share, 0.1)
-    whole = mean[share > 0.5]
-    usual = float(np.partition(whole, len(whole) // 2)[len(whole) // 2]) if len(whole) else 1.0
-    return np.asarray(said & (mean > max(_UNEXPLAINED_AROUND, _UNUSUAL * usual)))
+    mean = lattice.blurred(np.where(said, np.minimum(misfit, _MOST_AROUND), 0), sigma)
+    mean /= np.maximum(lattice.blurred(said, sigma), 0.1)
+    return np.asarray(said & (mean > _UNEXPLAINED_AROUND))
 
 
 def _opened(mask: _Mask, square: npt.NDArray[np.uint8]) -> _Mask:
@@ -269,7 +266,7 @@ def near_misfits(
 
 @kernel(whole_vectors=True)
 def choose_surfaces_kernel(
-    misfits: F32Array3,  # (N, H, W) standard deviations of pixels; see `surface_misfits_kernel`
+    misfits: F32Array3,  # (N, H, W) standard deviations of pixels; see `surface_residuals_kernel`
     around: F32Array3,  # (N, h, w) their squares' averages around places of the lattice
     cells: I32Array2,  # (H / 8 up, W / 16 up) a bit for each surface that is asked
     near: F32Array1,  # weights of pixels so far across the stripes
@@ -326,7 +323,7 @@ def choose_surfaces(
     cells : int32
         A bit for each surface that pixels of a cell of 8 x 16 may show; 0: its labels stay.
     neutral, levels, code_doubt, scatter, lattice
-        See `surface_misfits`.
+        See `surface_residuals` and `measure_scatter`.
     around : (N, h, w) float32
         See `Relabelled`.
     out : (H, W) uint8
@@ -335,7 +332,7 @@ def choose_surfaces(
     misfits = runtime.empty((len(neutral.unmixing), *(int(n) for n in contrast.shape)), np.float32)
     # A pixel does not tell what its cycle's contrast is.
     even = float(np.hypot(code_doubt, UNEVEN))
-    fill_misfits(light, contrast, cells, neutral, levels, 1, even, scatter, misfits)
+    fill_residuals(light, contrast, cells, neutral, levels, 1, even, scatter, misfits)
     near, along = (
         np.exp(-0.5 * (np.arange(_BESIDE + 1) / sigma) ** 2).astype(np.float32) for sigma in (_NEAR_PX, _ALONG_PX)
     )

@@ -29,7 +29,7 @@ from tikernels.phase.surfaces import matrix_lanes, through
 from tikernels.raw.linearization import LEVEL_TYPES
 from tikernels.strips import strip_count
 
-_Misfits = npt.NDArray[np.float32]
+_Residuals = npt.NDArray[np.float32]
 _Array = npt.NDArray[np.float64]
 _Mask = npt.NDArray[np.bool_]
 
@@ -242,7 +242,7 @@ def place_around(x: Static, y: Static):
 
 
 @kernel(whole_vectors=True)
-def surface_misfits_kernel(
+def surface_residuals_kernel(
     light: F32Array3,  # (h, w, 3) levels; see `average_light_kernel`
     contrast: F32Array2,  # (h, w) of the fringe, beside the light's
     cells: I32Array2,  # (h / 8 up, w / 16 up) a bit for each surface that is asked
@@ -303,10 +303,8 @@ def surface_misfits_kernel(
                         by_contrast[surface, y, first + k] = changes[k]
 
 
-def surface_misfits(
-    lattice: Lattice, neutral: NeutralLight, levels: FrameLevels, code_doubt: float, scatter: float | None = None
-) -> tuple[_Misfits, float]:
-    """Return what each surface's matrix leaves over at every place, and by how much more that is than expected.
+def surface_residuals(lattice: Lattice, neutral: NeutralLight, levels: FrameLevels, code_doubt: float) -> _Residuals:
+    """Return what each surface's matrix leaves over at every place.
 
     Parameters
     ----------
@@ -318,40 +316,45 @@ def surface_misfits(
         The frame's noise.
     code_doubt : float
         Standard deviation of a cycle's contrast by the pattern's code, as a fraction; 0: there is no code.
-    scatter : float, optional
-        By how much more residuals scatter than noise makes them; None: is measured.
 
     Returns
     -------
-    misfits : (N, h, w) float32
-        Squares of standard deviations, at most 16; -1 where a place says nothing.
-    scatter : float
-        1 or more.
+    (N, h, w) float32
+        Standard deviations of independent noise; 0 where a place says nothing.
     """
     size, count = lattice.contrast.shape, len(neutral.unmixing)
     out = np.empty((count, *size), np.float32)
     by_contrast = np.empty_like(out) if code_doubt > 0 else None
     cells = np.full(cells_of(size), (1 << count) - 1, np.int32)
     even = _CORNERS if code_doubt > 0 else UNEVEN
-    fill_misfits(lattice.light, lattice.contrast, cells, neutral, levels, 2 * REACH_PX + 1, even, 1.0, out, by_contrast)
+    pixels = 2 * REACH_PX + 1
+    fill_residuals(lattice.light, lattice.contrast, cells, neutral, levels, pixels, even, 1.0, out, by_contrast)
     said = lattice.says
     if by_contrast is not None:
         _take_off_code(lattice, out, by_contrast, said, code_doubt)
-    if scatter is None:
-        scatter = _scatter(lattice, out, said)
-    return np.where(said, np.minimum((out / scatter) ** 2, MOST_MISFIT), np.float32(-1)), scatter
+    return np.where(said, out, np.float32(0))
 
 
-def _scatter(lattice: Lattice, residuals: _Misfits, said: _Mask) -> float:
-    """Return by how much more means of the least residuals, (N, h, w), scatter than those of independent noise."""
+def measure_scatter(lattice: Lattice, residuals: _Residuals, inside: _Mask) -> float:
+    """Return by how much more means of residuals along the stripes scatter than those of independent noise, at least 1.
+
+    Parameters
+    ----------
+    lattice : Lattice
+        The places.
+    residuals : (N, h, w) float32
+        See `surface_residuals`; the least of a place counts.
+    inside : (h, w) bool
+        Places that show one surface.
+    """
     count = max(1, round(_SHARED_CYCLES * lattice.period_px / lattice.columns))
     least = np.take_along_axis(residuals, np.abs(residuals).argmin(axis=0)[None], 0)[0]
-    means, share = (cv2.blur(part, (count, 1)) for part in (np.where(said, least, 0), said.astype(np.float32)))
-    means = means[share > 0.99]
+    whole = cv2.erode((inside & lattice.says).astype(np.uint8), np.ones((1, count), np.uint8)) > 0
+    means = cv2.blur(least, (count, 1))[whole]
     return max(1.0, float(np.median(np.abs(means)) * np.sqrt(count)) / MEDIAN_SIZE) if len(means) else 1.0
 
 
-def fill_misfits(
+def fill_residuals(
     light: F32,
     contrast: F32,
     cells: I32,
@@ -363,14 +366,14 @@ def fill_misfits(
     out: F32,
     by_contrast: F32 | None = None,
 ) -> None:
-    """Do what `surface_misfits_kernel` does with means over some pixels."""
+    """Do what `surface_residuals_kernel` does with means over some pixels."""
     noise = (levels.read_noise**2 / pixels, levels.noise_gain / pixels)
     changes = runtime.empty((1, 1, 1), np.float32) if by_contrast is None else by_contrast
-    surface_misfits_kernel(light, contrast, cells, *neutral, *noise, even, scatter, out, changes)
+    surface_residuals_kernel(light, contrast, cells, *neutral, *noise, even, scatter, out, changes)
     runtime.synchronize()
 
 
-def _take_off_code(lattice: Lattice, residuals: _Misfits, by_contrast: _Misfits, said: _Mask, doubt: float) -> None:
+def _take_off_code(lattice: Lattice, residuals: _Residuals, by_contrast: _Residuals, said: _Mask, doubt: float) -> None:
     """Subtract from the residuals, (N, h, w) standard deviations, what a cycle's own contrast explains.
 
     By a code each cycle has one contrast. A matrix with more crosstalk looks like a cycle with less contrast: if every
