@@ -339,7 +339,7 @@ _ALL = (
     Mechanism("new surfaces", "pixels that no surface explains become new ones", "r-objects",
         {"surface_search:SurfaceSearch._add": gives(False)},
         "surface_search:SurfaceSearch._add surface_search:_largest_part"),
-    Mechanism("unusual neighbourhoods", "neighbourhoods with more misfit than noise are looked at anew", "r-objects",
+    Mechanism("unusual neighbourhoods", "places with more misfit than elsewhere are looked at anew", "r-objects",
         {"surface_labels:_unusual_neighbourhoods": nowhere}, "surface_labels:_unusual_neighbourhoods"),
     Mechanism("only colour acts after", "no search where the only colour acts after the crosstalk", "",
         {"surface_search:_acts_after": gives(False)}, "surface_search:_acts_after",

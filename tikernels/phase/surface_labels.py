@@ -53,8 +53,9 @@ _EDGE_PX = 4
 _BETTER = 0.3
 # A surface of fewer pixels is none.
 LEAST_PX = 400
-# No surface explains a place with a larger misfit, or a neighbourhood with one larger than this.
-_UNEXPLAINED, _UNEXPLAINED_AROUND = 3.0, 1.4
+# No surface explains a place with a larger misfit, or a neighbourhood with one larger than this, also in units of what
+# is usual in the frame.
+_UNEXPLAINED, _UNEXPLAINED_AROUND, _UNUSUAL = 3.0, 1.4, 1.6
 # What is left of unexplained places after an opening by this counts, px; of neighbourhoods, in cycles.
 _OPENING_PX, _OPENING_CYCLES = 7, 1.0
 
@@ -147,11 +148,13 @@ def _averaged(lattice: Lattice, misfits: _Misfits, said: _Mask) -> tuple[_Misfit
 
 
 def _unusual_neighbourhoods(lattice: Lattice, misfit: _Misfits, said: _Mask) -> _Mask:
-    """Return where the misfit of places to their own surfaces is more than noise, cycle by cycle."""
+    """Return where the misfit of places to their own surfaces is larger than elsewhere, cycle by cycle."""
     sigma = SIGMA_ACROSS * lattice.period_px
-    mean = lattice.blurred(np.where(said, np.minimum(misfit, _MOST_AROUND), 0), sigma)
-    mean /= np.maximum(lattice.blurred(said, sigma), 0.1)
-    return np.asarray(said & (mean > _UNEXPLAINED_AROUND))
+    share = lattice.blurred(said, sigma)
+    mean = lattice.blurred(np.where(said, np.minimum(misfit, _MOST_AROUND), 0), sigma) / np.maximum(share, 0.1)
+    whole = mean[share > 0.5]
+    usual = float(np.partition(whole, len(whole) // 2)[len(whole) // 2]) if len(whole) else 1.0
+    return np.asarray(said & (mean > max(_UNEXPLAINED_AROUND, _UNUSUAL * usual)))
 
 
 def _opened(mask: _Mask, square: npt.NDArray[np.uint8]) -> _Mask:
