@@ -338,6 +338,8 @@ def surface_residuals(lattice: Lattice, neutral: NeutralLight, levels: FrameLeve
 def measure_scatter(lattice: Lattice, residuals: _Residuals, inside: _Mask) -> float:
     """Return by how much more means of residuals along the stripes scatter than those of independent noise, at least 1.
 
+    1, too, where most means see an edge.
+
     Parameters
     ----------
     lattice : Lattice
@@ -351,7 +353,9 @@ def measure_scatter(lattice: Lattice, residuals: _Residuals, inside: _Mask) -> f
     least = np.take_along_axis(residuals, np.abs(residuals).argmin(axis=0)[None], 0)[0]
     whole = cv2.erode((inside & lattice.says).astype(np.uint8), np.ones((1, count), np.uint8)) > 0
     means = cv2.blur(least, (count, 1))[whole]
-    return max(1.0, float(np.median(np.abs(means)) * np.sqrt(count)) / MEDIAN_SIZE) if len(means) else 1.0
+    if 2 * len(means) < np.count_nonzero(lattice.says):
+        return 1.0
+    return max(1.0, float(np.median(np.abs(means)) * np.sqrt(count)) / MEDIAN_SIZE)
 
 
 def fill_residuals(
