@@ -42,4 +42,10 @@ def fit_sphere(points: FloatArray) -> tuple[FloatArray, float] | None:
         centre = start + solution[:3]
         radius = float(np.sqrt(solution[3] + solution[:3] @ solution[:3]))
         near = _near(points, np.linalg.norm(points - centre, axis=1) - radius)
+    for _ in range(_FITS):  # Gauss-Newton steps take out what squares of distances weigh wrong
+        distance = np.linalg.norm(near - centre, axis=1)
+        rows = np.column_stack([(near - centre) / distance[:, None], np.ones(len(near))])
+        step = np.linalg.lstsq(rows, distance - radius, rcond=None)[0]
+        centre, radius = centre + step[:3], radius + float(step[3])
+        near = _near(points, np.linalg.norm(points - centre, axis=1) - radius)
     return centre, radius
