@@ -103,24 +103,26 @@ class _BarView(View):
 
     def _meets(self, origin: FloatArray, rays: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return after how many of themselves rays (.., 3) meet something, and the normals (.., 3) there."""
-        radius = self._bar.diameter_mm / 2
+        radius, along = self._bar.diameter_mm / 2, self.rotation[:, 0]
+        half_mm = self._bar.spacing_mm / 2
         nearest = (_WALL_MM - origin[2]) / rays[..., 2]
         normal = np.broadcast_to([0.0, 0.0, -1.0], rays.shape).copy()
-        along = self.rotation[:, 0]
-        # A ball, or a rod where the direction along it does not count.
+        across = np.eye(3) - np.outer(along, along)  # of a rod the direction along it does not count
         for middle, size, flat in (
-            (self.place_mm, _ROD * radius, np.eye(3) - np.outer(along, along)),
-            (self.place_mm - along * self._bar.spacing_mm / 2, radius, np.eye(3)),
-            (self.place_mm + along * self._bar.spacing_mm / 2, radius, np.eye(3)),
+            (self.place_mm, _ROD * radius, across),
+            (self.place_mm - half_mm * along, radius, np.eye(3)),
+            (self.place_mm + half_mm * along, radius, np.eye(3)),
         ):
             start, way = (origin - middle) @ flat, rays @ flat
-            a, b = (way * way).sum(axis=-1), way @ start
-            with np.errstate(invalid="ignore"):
-                t = (-b - np.sqrt(b * b - a * (start @ start - size * size))) / a
-            ends = np.abs((origin + rays * np.nan_to_num(t)[..., None] - middle) @ along) < self._bar.spacing_mm / 2
-            hit = (t > 0) & (t < nearest) & (ends if size < radius else True)
-            nearest = np.where(hit, t, nearest)
-            normal[hit] = ((start + way * t[..., None]) / size)[hit]
+            a, b = np.einsum("...i,...i", way, way), way @ start
+            square = b * b - a * (start @ start - size * size)
+            near = np.nonzero(square > 0)
+            t = (-b[near] - np.sqrt(square[near])) / a[near]
+            beyond_mm = np.abs((origin - middle + rays[near] * t[:, None]) @ along) - half_mm
+            hit = (t > 0) & (t < nearest[near]) & (beyond_mm < 0)  # no ball reaches so far along the rod
+            near = tuple(places[hit] for places in near)
+            nearest[near] = t[hit]
+            normal[near] = (start + way[near] * t[hit, None]) / size
         return nearest, normal
 
 

@@ -38,6 +38,7 @@ def certify(
     reference_mm: Annotated[float, Parameter(validator=bounded(0))],
     rig: str | None = None,
     calibration: Path | None = None,
+    distance_mm: Annotated[float | None, Parameter(validator=above_zero)] = None,
     out: Path | None = None,
     settings: SettingsFile = None,
     arch: Arch = "auto",
@@ -64,11 +65,13 @@ def certify(
         The rig's TOML file, whose projector.display shows the pattern; or simulated, which needs nothing to be there.
     calibration
         The rig's calibration; left out, the one that the rig's file names.
+    distance_mm
+        The distance of the measuring volume's middle; left out, where the axes of camera and projector meet.
     out
         The JSON file to write.
     """
     from pipeline.batch.job import with_transfer_of
-    from pipeline.diagnosis.artefacts import BallBar, positions_before
+    from pipeline.diagnosis.artefacts import BallBar, Volume, positions_in
     from pipeline.diagnosis.certificate import certify as measure
     from pipeline.diagnosis.certificate import open_pictures
 
@@ -76,14 +79,14 @@ def certify(
         check_target(out, force=force)
     bar = BallBar(diameter_mm, spacing_mm)
     if rig is not None:
-        known = _capture(rig, pictures, bar, calibration)
+        known = _capture(rig, pictures, bar, calibration, distance_mm)
     elif calibration is not None:
         known = Calibration.read(calibration)
     else:
         raise SettingsError("give --calibration, or --rig to take the pictures with")
-    source = open_pictures(pictures, positions_before(known.geometry(), bar))
+    source = open_pictures(pictures, positions_in(Volume.before(known.geometry(), distance_mm), bar))
     chosen, _ = with_transfer_of(source, read_settings(settings), known)
-    found = measure(source, bar, reference_mm, known, chosen, arch)
+    found = measure(source, bar, reference_mm, known, chosen, arch, distance_mm)
     _show(found, bar)
     if out is not None:
         said = {"version": __version__, "calibration": known.digest(), "reference": asdict(bar)} | asdict(found)
@@ -91,7 +94,7 @@ def certify(
         say(f"wrote {out}")
 
 
-def _capture(rig: str, folder: Path, bar: "BallBar", path: Path | None) -> Calibration:
+def _capture(rig: str, folder: Path, bar: "BallBar", path: Path | None, distance_mm: float | None) -> Calibration:
     """Take the pictures that a folder lacks; return the calibration, of the pattern as it was shown."""
     from hardware.drivers import SIMULATED
     from pipeline.acquisition.chosen_rig import read_rig
@@ -100,7 +103,7 @@ def _capture(rig: str, folder: Path, bar: "BallBar", path: Path | None) -> Calib
     from pipeline.calibration.captures import captured_files
     from pipeline.cli.calibrate_capture import GUIDE
     from pipeline.cli.opened_studio import opened_studio
-    from pipeline.diagnosis.artefacts import Plate
+    from pipeline.diagnosis.artefacts import Plate, Volume
     from pipeline.pattern import make_pattern
     from pipeline.simulation import OWN_CALIBRATION
 
@@ -110,8 +113,9 @@ def _capture(rig: str, folder: Path, bar: "BallBar", path: Path | None) -> Calib
         raise SettingsError(f"{rig} names no calibration: give --calibration")
     known = Calibration.read(named)
     geometry = known.geometry()
-    for artefact in (bar, Plate.before(geometry)):
-        positions = list(artefact.positions(geometry))
+    volume = Volume.before(geometry, distance_mm)
+    for artefact in (bar, Plate.within(volume)):
+        positions = list(artefact.positions(volume))
         if all(position.name in captured_files(folder) for position in positions):
             continue
         with opened_studio(instruments, rig, artefact, folder / GUIDE) as (studio, show):

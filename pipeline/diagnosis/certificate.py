@@ -32,7 +32,7 @@ from pipeline.calibration.captures import captured_files
 from pipeline.calibration.model import Calibration, Geometry
 from pipeline.causes import Cause
 from pipeline.decoding.frame import DecodedFrame
-from pipeline.diagnosis.artefacts import BallBar, Plate, Position
+from pipeline.diagnosis.artefacts import BallBar, Plate, Position, Volume
 from pipeline.diagnosis.picture_reader import PictureReader
 from pipeline.errors import CalibrationError
 from pipeline.footage.opening import open_source
@@ -128,13 +128,14 @@ def certify(
     calibration: Calibration,
     settings: DecodeSettings,
     arch: str = "auto",
+    distance_mm: float | None = None,
 ) -> Certificate:
     """Certify a rig by its pictures of a ball bar and a plate in seven positions each.
 
     Parameters
     ----------
     source : Source
-        The pictures, in the order of `positions`.
+        The pictures, in the order of `positions_in`.
     bar : BallBar
         The reference.
     reference_mm : float
@@ -145,6 +146,8 @@ def certify(
         How to decode, as `with_transfer_of` completes them for these pictures.
     arch : str
         Where to compute.
+    distance_mm : float, optional
+        Of the measuring volume; see `Volume.before`.
 
     Raises
     ------
@@ -155,7 +158,8 @@ def certify(
     """
     reader = PictureReader(source, calibration, settings, arch)
     geometry = reader.calibration.geometry()
-    bars, plates = list(bar.positions(geometry)), list(Plate.before(geometry).positions(geometry))
+    volume = Volume.before(geometry, distance_mm)
+    bars, plates = list(bar.positions(volume)), list(Plate.within(volume).positions(volume))
     pairs, flats, sigmas = [], [], []
     for position, (_, frame) in zip([*bars, *plates], reader.frames(), strict=True):
         try:
