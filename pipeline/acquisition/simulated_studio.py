@@ -74,15 +74,20 @@ _SHORTEST_S = 2e-5
 LIGHT = CaptureLight(gamma=2.0, crosstalk=np.array(TYPICAL_CROSSTALK), blur_px=0.5, noise=1.5)
 
 
-class _Sheet(BoardView):
-    """A white sheet."""
+class SheetView(BoardView):
+    """A white sheet, larger than what the camera sees."""
+
+    def __init__(
+        self, rig: Calibration, turn: FloatArray, place_mm: FloatArray, light: CaptureLight, samples: int
+    ) -> None:
+        super().__init__(rig, _SHEET, turn, place_mm, light, samples=samples)
 
     def drawing(self) -> npt.NDArray[np.uint8]:
         """Return what is printed: nothing."""
         return np.full_like(super().drawing(), 255)
 
 
-class _BarView(View):
+class BarView(View):
     """A ball bar before a wall, all white and matt, with the shadows that they cast."""
 
     def __init__(
@@ -307,10 +312,10 @@ class SimulatedStudio:
             rig = rig.model_copy(update={"camera": rig.camera.model_copy(update={"matrix": matrix})})
         turn, place = np.array(stands[:3]), np.array(stands[3:])
         if isinstance(self._held, BallBar):
-            return _BarView(rig, self._held, turn, place, self._path, samples)
+            return BarView(rig, self._held, turn, place, self._path, samples)
         if isinstance(self._held, Board):
             return BoardView(rig, self._held, turn, place, self._path, samples=samples, bow_mm=self._faults.bow_mm)
-        return _Sheet(rig, _SHEET, turn, place, self._path, samples=samples)
+        return SheetView(rig, turn, place, self._path, samples)
 
     def _light(self, time_s: float, picture: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
         """Return the light that the camera sees of a picture, (H, W, 3)."""

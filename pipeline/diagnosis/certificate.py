@@ -164,7 +164,7 @@ def certify(
     for position, (_, frame) in zip([*bars, *plates], reader.frames(), strict=True):
         try:
             if position in bars:
-                pairs.append(_measure_bar(frame, bar, geometry))
+                pairs.append(measure_bar(frame, bar, geometry))
                 centres = np.stack([ball.centre_mm for ball in pairs[-1]])
                 _check_place(position, bars, [_apart_mm(centres, bar.centres_mm(asked)) for asked in bars])
                 _check_bar(pairs[-1], bar, geometry)
@@ -193,7 +193,7 @@ def certify(
     )
 
 
-def _measure_bar(frame: DecodedFrame, bar: BallBar, geometry: Geometry) -> list[Sphere]:
+def measure_bar(frame: DecodedFrame, bar: BallBar, geometry: Geometry) -> list[Sphere]:
     """Return the two balls of a bar.
 
     Raises
@@ -264,8 +264,10 @@ def find_balls(points: FloatArray, radius_mm: float, geometry: Geometry, count: 
 
 def _densest(votes: FloatArray, radius_mm: float) -> FloatArray:
     """Return the place that most votes (N, 3) are within a radius of."""
-    _, cell, counts = np.unique(np.floor(votes / radius_mm), axis=0, return_inverse=True, return_counts=True)
-    place = votes[cell.ravel() == counts.argmax()].mean(axis=0)
+    cells = np.floor((votes - votes.min(axis=0)) / radius_mm)
+    numbers = cells @ np.cumprod([1.0, *(cells.max(axis=0) + 1)[:2]])
+    _, cell, counts = np.unique(numbers, return_inverse=True, return_counts=True)
+    place = votes[cell == counts.argmax()].mean(axis=0)
     for _ in range(10):  # the mean shifts by less each time
         place = votes[np.linalg.norm(votes - place, axis=1) < radius_mm].mean(axis=0)
     return np.asarray(place)
@@ -307,7 +309,7 @@ def _tiles(surface: npt.NDArray[np.bool_], frame: DecodedFrame) -> npt.NDArray[n
     """Return the number of the tile, one cycle of the fringe wide, of each of a surface's pixels, (N,)."""
     side = max(round(frame.period_px or 1), DecodeSettings().smoothing_px)
     rows, columns = np.nonzero(surface)
-    return np.unique(np.stack([rows // side, columns // side]), axis=1, return_inverse=True)[1].ravel()
+    return np.asarray(np.unique(rows // side * surface.shape[1] + columns // side, return_inverse=True)[1])
 
 
 def _split(residual: FloatArray, tile: npt.NDArray[np.intp]) -> tuple[float, FloatArray, FloatArray]:
