@@ -7,6 +7,7 @@ that renderer against itself.
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -81,14 +82,12 @@ class View(ABC):
         self.rotation = cv2.Rodrigues(self.turn)[0]
         # Of each of the camera's lateral shifts: what is seen, and the projector pixel that lights it.
         self._views: dict[_Place, tuple[FloatImage, FloatImage]] = {}
-        step = (np.arange(samples) + 0.5) / samples - 0.5
-        x, y = (np.arange(side)[:, None] + step for side in self.size)
-        places = np.stack(np.meshgrid(x, y), axis=-1)
+        lens = geometry.camera.model_dump_json()
         for shift in {_place(row) for row in self.camera_shift}:
-            rays = geometry.camera.rays_through(places.reshape(-1, 2) - np.array(shift))
-            reflectance, points = self._look(np.insert(rays, 2, 1.0, axis=1).reshape(*places.shape[:2], 3))
+            reflectance, points = self._look(_rays(lens, samples, shift))
             in_projector = points.reshape(-1, 3) @ geometry.rotation.T + geometry.translation_mm
-            self._views[shift] = reflectance, _seen_by(geometry.projector, in_projector).reshape(places.shape)
+            pixels = _seen_by(geometry.projector, in_projector).reshape(*reflectance.shape, 2)
+            self._views[shift] = reflectance, pixels
 
     @abstractmethod
     def _look(self, rays: FloatArray) -> tuple[FloatImage, FloatArray]:
@@ -252,6 +251,16 @@ def board_turns(count: int = 10, seed: int = 1) -> tuple[list[FloatArray], Float
     ]
     places = np.stack([rng.uniform(-25, 25, count), rng.uniform(-20, 20, count), rng.uniform(840, 960, count)], axis=1)
     return turns, places
+
+
+@lru_cache(maxsize=4)  # of a thing that moves and one at rest
+def _rays(lens: str, samples: int, shift: _Place) -> FloatArray:
+    """Return the rays of unit depth, (H, W, 3), of so many samples along either side of every pixel."""
+    camera = Lens.model_validate_json(lens)
+    step = (np.arange(samples) + 0.5) / samples - 0.5
+    x, y = ((np.arange(side)[:, None] + step).ravel() for side in camera.size_px)
+    rays = camera.rays_through(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2) - np.array(shift))
+    return np.insert(rays, 2, 1.0, axis=1).reshape(len(y), len(x), 3)
 
 
 def _place(shift: FloatArray) -> _Place:

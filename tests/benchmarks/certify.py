@@ -1,12 +1,12 @@
 """Certificates of drawn rigs that have calibrated themselves, beside the truth, which only this table sees.
 
 The rigs of `calibration_accuracy.py`. Each measures its light and geometry from simulated captures, and then a ball bar
-and a plate in the positions that `colorphase certify` asks for, held by hand. The bar is the longest of 110 to 170 mm
+and a plate in the positions that `colorphase certify` asks for, held by hand. The bar is the longest of 100 to 160 mm
 that the rig sees whole; its true spacing is off its certificate by 0.005 mm (one standard deviation).
 
 Spacing: the largest true error of the seven positions, and the mean. Flatness: the largest range of all points, and
-what is left of it without noise, RMS. Then the certified U (k = 2), and the true errors of the bar in three other places of
-the volume, which U should contain.
+what is left of it without noise, RMS. Then the certified U (k = 2), and the true errors of the bar in three other
+places of the volume, which U should contain.
 
 python tests/benchmarks/certify.py [--rigs 20] [--folder FOLDER]    FOLDER keeps captures: stopped, it goes on there
 """
@@ -39,7 +39,7 @@ from pipeline.errors import CalibrationError
 from pipeline.pattern import make_pattern
 from pipeline.simulation import TYPICAL_CROSSTALK
 
-DIAMETER_MM, SPACINGS_MM = 50.0, (170.0, 150.0, 130.0, 110.0)
+DIAMETER_MM, SPACINGS_MM = 60.0, (160.0, 140.0, 120.0, 100.0)
 OFF_MM, ELSEWHERE = 0.005, 3
 
 

@@ -18,7 +18,7 @@ NOISE_MM = 0.05
 
 
 def seen(centres=CENTRES, radius=30.0, wall_mm=1000.0, seed=0):
-    """Return points (H, W, 3) mm, with noise along their rays, of balls before a wall, and a rod along the first row."""
+    """Return points (H, W, 3) mm, with noise along their rays, of balls before a wall, and of a rod above them."""
     rays = np.insert(GEOMETRY.camera.rays(), 2, 1.0, axis=2).astype(np.float64)
     depth = np.full(rays.shape[:2], wall_mm)
     for centre in centres:
