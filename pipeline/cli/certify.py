@@ -22,7 +22,8 @@ from pipeline.cli.console import (
     say,
     stdout,
 )
-from pipeline.errors import SettingsError
+from pipeline.errors import CalibrationError, SettingsError
+from pipeline.files import write_atomically
 
 if TYPE_CHECKING:
     from pipeline.diagnosis.artefacts import BallBar
@@ -90,7 +91,7 @@ def certify(
     _show(found, bar)
     if out is not None:
         said = {"version": __version__, "calibration": known.digest(), "reference": asdict(bar)} | asdict(found)
-        out.write_text(json.dumps(said, indent=1) + "\n", encoding="utf-8")
+        write_atomically(out, (json.dumps(said, indent=1) + "\n").encode())
         say(f"wrote {out}")
 
 
@@ -123,6 +124,11 @@ def _capture(rig: str, folder: Path, bar: "BallBar", path: Path | None, distance
             guided = GuidedCapture(studio, folder, identity, show, remark)
             guided.check_rig()
             geometry.check_frame(guided.camera_px)
+            if studio.projector_px != geometry.projector.size_px:
+                here, known_px = ("{}x{}".format(*px) for px in (studio.projector_px, geometry.projector.size_px))
+                raise CalibrationError(
+                    f"the projector has {here} px, the calibrated one {known_px}: choose its display"
+                )
             guided.take_positions(positions, make_pattern(studio.projector_px, geometry.pattern, known.response))
     if known.response is None:
         return known

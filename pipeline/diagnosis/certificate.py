@@ -41,6 +41,8 @@ from pipeline.models import FloatArray
 from pipeline.robust import fit_plane, fit_sphere
 from pipeline.settings import DecodeSettings
 
+# Normals are differences of points this far to either side, px: less than the noise of neighbours.
+_NORMAL_PX = 3
 # Votes for a ball's centre differ by less than this part of its radius; a plane at the ball's distance then has a
 # sixteenth of its votes. Of a ball's disc this part must be seen.
 _VOTE, _SEEN = 0.25, 0.25
@@ -164,12 +166,12 @@ def certify(
     for position, (_, frame) in zip([*bars, *plates], reader.frames(), strict=True):
         try:
             if position in bars:
-                pairs.append(measure_bar(frame, bar, geometry))
+                pairs.append(measure_bar(frame, bar, geometry, settings.smoothing_px))
                 centres = np.stack([ball.centre_mm for ball in pairs[-1]])
                 _check_place(position, bars, [_apart_mm(centres, bar.centres_mm(asked)) for asked in bars])
                 _check_bar(pairs[-1], bar, geometry)
             else:
-                flat, depths, sigma = _measure_plate(frame, geometry)
+                flat, depths, sigma = _measure_plate(frame, geometry, settings.smoothing_px)
                 _check_place(position, plates, [_rms(depths - _depths_of(asked, geometry)) for asked in plates])
                 flats.append(flat)
                 sigmas.append(sigma)
@@ -193,8 +195,19 @@ def certify(
     )
 
 
-def measure_bar(frame: DecodedFrame, bar: BallBar, geometry: Geometry) -> list[Sphere]:
+def measure_bar(frame: DecodedFrame, bar: BallBar, geometry: Geometry, window_px: int) -> list[Sphere]:
     """Return the two balls of a bar.
+
+    Parameters
+    ----------
+    frame : DecodedFrame
+        Decoded with a calibration.
+    bar : BallBar
+        The reference.
+    geometry : Geometry
+        The calibration's.
+    window_px : int
+        The side of the window that phases were smoothed over.
 
     Raises
     ------
@@ -203,7 +216,8 @@ def measure_bar(frame: DecodedFrame, bar: BallBar, geometry: Geometry) -> list[S
     """
     points = _points(frame)
     fits = []
-    for ball in find_balls(points, bar.diameter_mm / 2, geometry, 2):
+    for found_at in find_balls(points, bar.diameter_mm / 2, geometry, 2):
+        ball = _inside(found_at, window_px)
         tile = _tiles(ball, frame)
         found = fit_sphere(points[ball])
         if found is None or np.unique(tile).size < _LEAST_TILES:
@@ -238,7 +252,7 @@ def find_balls(points: FloatArray, radius_mm: float, geometry: Geometry, count: 
     CalibrationError
         There are fewer.
     """
-    half = DecodeSettings().smoothing_px // 2
+    half = _NORMAL_PX
     normals = np.full_like(points, np.nan)
     across, down = points[:, 2 * half :] - points[:, : -2 * half], points[2 * half :] - points[: -2 * half]
     normals[half:-half, half:-half] = np.cross(down[:, half:-half], across[half:-half])  # towards the camera
@@ -259,7 +273,7 @@ def find_balls(points: FloatArray, radius_mm: float, geometry: Geometry, count: 
                 "their true diameter"
             )
         free &= ~(away < radius_mm)
-        yield _inside(ball)
+        yield ball
 
 
 def _densest(votes: FloatArray, radius_mm: float) -> FloatArray:
@@ -273,9 +287,9 @@ def _densest(votes: FloatArray, radius_mm: float) -> FloatArray:
     return np.asarray(place)
 
 
-def _measure_plate(frame: DecodedFrame, geometry: Geometry) -> tuple[Fit, FloatArray, float]:
+def _measure_plate(frame: DecodedFrame, geometry: Geometry, window_px: int) -> tuple[Fit, FloatArray, float]:
     """Return the plane through the largest surface, its depths along four rays (4,) mm, and the predicted noise."""
-    points, surface = _points(frame), _inside(frame.region == 1)
+    points, surface = _points(frame), _inside(frame.region == 1, window_px)
     tile = _tiles(surface, frame)
     filled = surface.mean()
     if filled < _FILLED or np.unique(tile).size < _LEAST_TILES:
@@ -299,15 +313,15 @@ def _points(frame: DecodedFrame) -> FloatArray:
     return frame.points.astype(np.float64)
 
 
-def _inside(surface: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+def _inside(surface: npt.NDArray[np.bool_], window_px: int) -> npt.NDArray[np.bool_]:
     """Return the pixels of a surface whose window of smoothing does not reach past it."""
-    side = DecodeSettings().smoothing_px
+    side = max(window_px, 1)
     return np.asarray(cv2.erode(surface.view(np.uint8), np.ones((side, side), np.uint8), borderValue=0)).view(np.bool_)
 
 
 def _tiles(surface: npt.NDArray[np.bool_], frame: DecodedFrame) -> npt.NDArray[np.intp]:
     """Return the number of the tile, one cycle of the fringe wide, of each of a surface's pixels, (N,)."""
-    side = max(round(frame.period_px or 1), DecodeSettings().smoothing_px)
+    side = round(frame.period_px or _LEAST_TILES)
     rows, columns = np.nonzero(surface)
     return np.asarray(np.unique(rows // side * surface.shape[1] + columns // side, return_inverse=True)[1])
 

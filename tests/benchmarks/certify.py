@@ -97,7 +97,7 @@ def certified(folder: Path, seed: int) -> tuple[BallBar, float, Certificate, np.
     decoder, shown, elsewhere = Decoder(settings, known, arch="cpu"), np.rint(255 * codes) / np.float32(255), []
     for turn, place in places_in(volume, bar, rng):
         image = BarView(truth, true, turn, place, light, samples=3).photograph(shown, rng)
-        first, second = measure_bar(decoder.decode(image), bar, known.geometry())
+        first, second = measure_bar(decoder.decode(image), bar, known.geometry(), settings.smoothing_px)
         elsewhere.append(np.linalg.norm(second.centre_mm - first.centre_mm) - true.spacing_mm)
     return bar, true.spacing_mm - bar.spacing_mm, found, np.array(elsewhere)
 

@@ -37,13 +37,13 @@ def test_two_balls_are_found_before_a_wall_and_beside_a_rod():
     points = seen()
     for ball in find_balls(points, 30.0, GEOMETRY, 2):
         off = np.abs(np.linalg.norm(points[ball][:, None] - CENTRES, axis=2) - 30.0).min(axis=1)
-        assert ball.sum() > 2000 and off.max() < 6 * NOISE_MM
+        assert ball.sum() > 2000 and np.quantile(off, 0.99) < 4 * NOISE_MM
 
 
 def test_centres_are_off_by_what_their_covariance_says():
     pulls = []
     for seed in range(8):
-        for ball in measure_bar(frame_of(seen(seed=seed)), BAR, GEOMETRY):
+        for ball in measure_bar(frame_of(seen(seed=seed)), BAR, GEOMETRY, 7):
             off = ball.centre_mm - CENTRES[np.argmin(np.linalg.norm(CENTRES - ball.centre_mm, axis=1))]
             pulls.append(off @ np.linalg.solve(ball.covariance[:3, :3], off) / 3)
             assert abs(ball.radius_mm - 30.0) < 5 * np.sqrt(ball.covariance[3, 3])
@@ -61,13 +61,13 @@ def test_centres_are_off_by_what_their_covariance_says():
 )
 def test_what_is_no_bar_is_refused(changes, message):
     with pytest.raises(CalibrationError, match=message):
-        measure_bar(frame_of(seen(**changes)), BAR, GEOMETRY)
+        measure_bar(frame_of(seen(**changes)), BAR, GEOMETRY, 7)
 
 
 def test_balls_that_are_small_in_the_picture_have_too_few_points():
     bar = BallBar(14.0, 160.0)
     with pytest.raises(CalibrationError, match=r"only \d+ points of a ball count"):
-        measure_bar(frame_of(seen(radius=7.0)), bar, GEOMETRY)
+        measure_bar(frame_of(seen(radius=7.0)), bar, GEOMETRY, 7)
 
 
 def test_camera_and_projector_see_the_bar_whole_in_all_seven_positions():
