@@ -42,9 +42,9 @@ _RIM_PX = 3.0
 # The sheet is larger than what the camera sees.
 _SHEET = Board(kind="chessboard", squares=(11, 8), square_mm=60.0)
 _SHEET_TURN, _SHEET_MM = (0.05, 0.1, 0.0), (0.0, 0.0, 900.0)
-# Behind a ball bar is a wall; its rod is this part as thick as its balls; it and the balls send back this part of the
-# light. A point is in the shadow of what the projector's light meets before this part of its way is left.
-_WALL_MM, _ROD, _BAR_WHITE, _SHADOW = 1400.0, 0.25, 0.8, 1e-4
+# Behind a ball bar is a wall; the bar's rod is this part as thick as its balls; bar and wall send back these parts of
+# the light. A point is in the shadow of what the projector's light meets before this part of its way is left.
+_WALL_MM, _ROD, _BAR, _WALL, _SHADOW = 1400.0, 0.25, 0.8, 0.05, 1e-4
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class SheetView(BoardView):
 
 
 class BarView(View):
-    """A ball bar before a wall, all white and matt, with the shadows that they cast."""
+    """A ball bar, white and matt, before a dark wall, with the shadows that they cast."""
 
     def __init__(
         self, rig: Calibration, bar: BallBar, turn: FloatArray, place_mm: FloatArray, light: CaptureLight, samples: int
@@ -104,7 +104,8 @@ class BarView(View):
         distance = np.linalg.norm(path, axis=-1)
         faces = -(normal * path).sum(axis=-1) / distance
         lit = (faces > 0) & (self._meets(lamp, path)[0] > 1 - _SHADOW)
-        return np.asarray(_BAR_WHITE * lit * faces * (self.place_mm[2] / distance) ** 2, np.float32), points
+        ink = np.where(points[..., 2] < _WALL_MM - 1, _BAR, _WALL)
+        return np.asarray(ink * lit * faces * (self.place_mm[2] / distance) ** 2, np.float32), points
 
     def _meets(self, origin: FloatArray, rays: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return after how many of themselves rays (.., 3) meet something, and the normals (.., 3) there."""

@@ -221,7 +221,9 @@ def measure_bar(frame: DecodedFrame, bar: BallBar, geometry: Geometry, window_px
         tile = _tiles(ball, frame)
         found = fit_sphere(points[ball])
         if found is None or np.unique(tile).size < _LEAST_TILES:
-            raise CalibrationError(f"only {tile.size} points of a ball count: hold it nearer, or take larger balls")
+            raise CalibrationError(
+                f"only {tile.size} points of a ball count: show it before something dark, or take larger balls"
+            )
         centre, radius = found
         ways = points[ball] - centre
         distance = np.linalg.norm(ways, axis=1)
