@@ -44,7 +44,7 @@ _SHEET = Board(kind="chessboard", squares=(11, 8), square_mm=60.0)
 _SHEET_TURN, _SHEET_MM = (0.05, 0.1, 0.0), (0.0, 0.0, 900.0)
 # Behind a ball bar is a wall; the bar's rod is this part as thick as its balls; bar and wall send back these parts of
 # the light. A point is in the shadow of what the projector's light meets before this part of its way is left.
-_WALL_MM, _ROD, _BAR, _WALL, _SHADOW = 1400.0, 0.25, 0.8, 0.05, 1e-4
+_WALL_MM, _ROD, _BAR, _WALL, _SHADOW = 1400.0, 0.25, 0.8, 0.2, 1e-4
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class SheetView(BoardView):
 
 
 class BarView(View):
-    """A ball bar, white and matt, before a dark wall, with the shadows that they cast."""
+    """A ball bar, white and matt, before a grey wall, with the shadows that they cast."""
 
     def __init__(
         self, rig: Calibration, bar: BallBar, turn: FloatArray, place_mm: FloatArray, light: CaptureLight, samples: int

@@ -55,7 +55,8 @@ def certify(
     Parameters
     ----------
     pictures
-        Folder with the pictures bar-1 to bar-7 and plane-1 to plane-7, taken under the calibrated pattern.
+        Folder with the pictures bar-1 to bar-7 and plane-1 to plane-7, taken under the pattern that colorphase pattern
+        --code contrast2 --calibration writes.
     diameter_mm
         The balls' diameter.
     spacing_mm
@@ -74,7 +75,7 @@ def certify(
     from pipeline.batch.job import with_transfer_of
     from pipeline.diagnosis.artefacts import BallBar, Volume, positions_in
     from pipeline.diagnosis.certificate import certify as measure
-    from pipeline.diagnosis.certificate import open_pictures
+    from pipeline.diagnosis.certificate import open_pictures, under_cells
 
     if out is not None:
         check_target(out, force=force)
@@ -82,7 +83,7 @@ def certify(
     if rig is not None:
         known = _capture(rig, pictures, bar, calibration, distance_mm)
     elif calibration is not None:
-        known = Calibration.read(calibration)
+        known = under_cells(Calibration.read(calibration))
     else:
         raise SettingsError("give --calibration, or --rig to take the pictures with")
     source = open_pictures(pictures, positions_in(Volume.before(known.geometry(), distance_mm), bar))
@@ -96,7 +97,7 @@ def certify(
 
 
 def _capture(rig: str, folder: Path, bar: "BallBar", path: Path | None, distance_mm: float | None) -> Calibration:
-    """Take the pictures that a folder lacks; return the calibration, of the pattern as it was shown."""
+    """Take the pictures that a folder lacks; return the calibration, under the pattern that they show."""
     from hardware.drivers import SIMULATED
     from pipeline.acquisition.chosen_rig import read_rig
     from pipeline.acquisition.guided_capture import GuidedCapture
@@ -105,6 +106,7 @@ def _capture(rig: str, folder: Path, bar: "BallBar", path: Path | None, distance
     from pipeline.cli.calibrate_capture import GUIDE
     from pipeline.cli.opened_studio import opened_studio
     from pipeline.diagnosis.artefacts import Plate, Volume
+    from pipeline.diagnosis.certificate import under_cells
     from pipeline.pattern import make_pattern
     from pipeline.simulation import OWN_CALIBRATION
 
@@ -112,7 +114,7 @@ def _capture(rig: str, folder: Path, bar: "BallBar", path: Path | None, distance
     named = path or instruments.calibration or (OWN_CALIBRATION if rig == SIMULATED else None)
     if named is None:
         raise SettingsError(f"{rig} names no calibration: give --calibration")
-    known = Calibration.read(named)
+    known = under_cells(Calibration.read(named))
     geometry = known.geometry()
     volume = Volume.before(geometry, distance_mm)
     for artefact in (bar, Plate.within(volume)):
@@ -130,9 +132,7 @@ def _capture(rig: str, folder: Path, bar: "BallBar", path: Path | None, distance
                     f"the projector has {here} px, the calibrated one {known_px}: choose its display"
                 )
             guided.take_positions(positions, make_pattern(studio.projector_px, geometry.pattern, known.response))
-    if known.response is None:
-        return known
-    return known.model_copy(update={"pattern": geometry.pattern.model_copy(update={"compensated": True})})
+    return known
 
 
 def _show(found: "Certificate", bar: "BallBar") -> None:

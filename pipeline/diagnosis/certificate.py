@@ -29,7 +29,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.calibration.captures import captured_files
-from pipeline.calibration.model import Calibration, Geometry
+from pipeline.calibration.model import Calibration, Geometry, choose_pattern
 from pipeline.causes import Cause
 from pipeline.decoding.frame import DecodedFrame
 from pipeline.diagnosis.artefacts import BallBar, Plate, Position, Volume
@@ -123,6 +123,32 @@ def open_pictures(folder: Path, positions: Sequence[Position]) -> Source:
     return open_source(folder, listed=[found[position.name].name for position in positions])
 
 
+@dataclass(frozen=True)
+class Flat(Fit):
+    """A plate."""
+
+    middle_mm: FloatArray  # (3,)
+    normal: FloatArray  # (3,)
+    sigma_mm: float  # predicted noise across it
+
+    def away(self, asked: Position) -> tuple[float, float]:
+        """Return by how much it is turned from a position, rad, and then how far it is off, mm."""
+        normal = cv2.Rodrigues(asked.turn)[0][:, 2]
+        off_mm = (self.middle_mm - asked.place_mm) @ self.normal
+        return float(np.arccos(min(abs(normal @ self.normal), 1.0))), float(abs(off_mm))
+
+
+def under_cells(calibration: Calibration) -> Calibration:
+    """Return the calibration of the same rig under the pattern of a certificate.
+
+    Its code is contrast2: balls are small, and cells alone give small surfaces their depth for certain.
+    """
+    pattern = choose_pattern(calibration, None, None, "contrast2")
+    if calibration.response is not None:  # it is undone in what is shown
+        pattern = pattern.model_copy(update={"compensated": True})
+    return calibration.model_copy(update={"pattern": pattern})
+
+
 def certify(
     source: Source,
     bar: BallBar,
@@ -143,7 +169,7 @@ def certify(
     reference_mm : float
         Expanded uncertainty (k = 2) of its spacing.
     calibration : Calibration
-        The rig's.
+        The rig's, under the pattern that the pictures show.
     settings : DecodeSettings
         How to decode, as `with_transfer_of` completes them for these pictures.
     arch : str
@@ -162,19 +188,18 @@ def certify(
     geometry = reader.calibration.geometry()
     volume = Volume.before(geometry, distance_mm)
     bars, plates = list(bar.positions(volume)), list(Plate.within(volume).positions(volume))
-    pairs, flats, sigmas = [], [], []
+    pairs: list[list[Sphere]] = []
+    flats: list[Flat] = []
     for position, (_, frame) in zip([*bars, *plates], reader.frames(), strict=True):
         try:
             if position in bars:
                 pairs.append(measure_bar(frame, bar, geometry, settings.smoothing_px))
                 centres = np.stack([ball.centre_mm for ball in pairs[-1]])
-                _check_place(position, bars, [_apart_mm(centres, bar.centres_mm(asked)) for asked in bars])
+                _check_place(position, bars, [(_apart_mm(centres, bar.centres_mm(asked)),) for asked in bars])
                 _check_bar(pairs[-1], bar, geometry)
             else:
-                flat, depths, sigma = _measure_plate(frame, geometry, settings.smoothing_px)
-                _check_place(position, plates, [_rms(depths - _depths_of(asked, geometry)) for asked in plates])
-                flats.append(flat)
-                sigmas.append(sigma)
+                flats.append(_measure_plate(frame, settings.smoothing_px))
+                _check_place(position, plates, [flats[-1].away(asked) for asked in plates])
         except CalibrationError as error:
             raise CalibrationError(f"{position.name}: {error}") from None
     errors = [_spacing_mm(pair) - bar.spacing_mm for pair in pairs]
@@ -187,7 +212,7 @@ def certify(
         form=_form("probing error, form", spheres),
         flatness=flatness,
         noise_mm=flatness.precision_mm,
-        noise_predicted_mm=_rms(np.array(sigmas)),
+        noise_predicted_mm=_rms(np.array([flat.sigma_mm for flat in flats])),
         budget_mm=budget,
         uncertainty_mm=abs(spacing.trueness_mm) + _COVERAGE_FACTOR * float(np.hypot.reduce([*budget.values()])),
         spacing_errors_mm=tuple(errors),
@@ -221,9 +246,7 @@ def measure_bar(frame: DecodedFrame, bar: BallBar, geometry: Geometry, window_px
         tile = _tiles(ball, frame)
         found = fit_sphere(points[ball])
         if found is None or np.unique(tile).size < _LEAST_TILES:
-            raise CalibrationError(
-                f"only {tile.size} points of a ball count: show it before something dark, or take larger balls"
-            )
+            raise CalibrationError(f"only {tile.size} points of a ball count: hold it nearer, or take larger balls")
         centre, radius = found
         ways = points[ball] - centre
         distance = np.linalg.norm(ways, axis=1)
@@ -289,8 +312,14 @@ def _densest(votes: FloatArray, radius_mm: float) -> FloatArray:
     return np.asarray(place)
 
 
-def _measure_plate(frame: DecodedFrame, geometry: Geometry, window_px: int) -> tuple[Fit, FloatArray, float]:
-    """Return the plane through the largest surface, its depths along four rays (4,) mm, and the predicted noise."""
+def _measure_plate(frame: DecodedFrame, window_px: int) -> Flat:
+    """Return the plane through the largest surface.
+
+    Raises
+    ------
+    CalibrationError
+        It is small, or no plane.
+    """
     points, surface = _points(frame), _inside(frame.region == 1, window_px)
     tile = _tiles(surface, frame)
     filled = surface.mean()
@@ -300,13 +329,13 @@ def _measure_plate(frame: DecodedFrame, geometry: Geometry, window_px: int) -> t
         )
     middle, normal = fit_plane(points[surface])
     residual = (points[surface] - middle) @ normal
-    fit = Fit(*_split(residual, tile))
-    if _rms(fit.means_mm) > _OTHER * middle[2]:
-        words = f"the surface is {_rms(fit.means_mm):.1f} mm from the nearest plane: show a plate alone"
-        raise CalibrationError(Cause("other shape", words))
     rays = points[surface] / np.linalg.norm(points[surface], axis=1, keepdims=True)
     sigma = np.asarray(frame.point_sigma, np.float64)[surface] * np.abs(rays @ normal)
-    return fit, _depths_mm(middle, normal, geometry), _rms(sigma)
+    flat = Flat(*_split(residual, tile), middle, normal, _rms(sigma))
+    if _rms(flat.means_mm) > _OTHER * middle[2]:
+        words = f"the surface is {_rms(flat.means_mm):.1f} mm from the nearest plane: show a plate alone"
+        raise CalibrationError(Cause("other shape", words))
+    return flat
 
 
 def _points(frame: DecodedFrame) -> FloatArray:
@@ -340,24 +369,11 @@ def _apart_mm(centres: FloatArray, asked: FloatArray) -> float:
     return min(_rms(centres - asked), _rms(centres[::-1] - asked))
 
 
-def _depths_of(asked: Position, geometry: Geometry) -> FloatArray:
-    """Return the depths of a plate in its position; see `_depths_mm`."""
-    return _depths_mm(asked.place_mm, cv2.Rodrigues(asked.turn)[0][:, 2], geometry)
-
-
-def _depths_mm(middle: FloatArray, normal: FloatArray, geometry: Geometry) -> FloatArray:
-    """Return the depths of a plane in four places of the picture, halfway to its corners."""
-    lens = geometry.camera
-    places = np.array([[1, 1], [3, 1], [3, 3], [1, 3]]) / 4 * lens.size_px
-    return np.asarray(middle @ normal / (np.insert(lens.rays_through(places), 2, 1.0, axis=1) @ normal))
-
-
-def _check_place(own: Position, asked: Sequence[Position], away_mm: Sequence[float]) -> None:
-    """Refuse an artefact that is nearer to another of the seven positions than to its own."""
-    nearest = asked[int(np.argmin(away_mm))]
+def _check_place(own: Position, asked: Sequence[Position], away: Sequence[tuple[float, ...]]) -> None:
+    """Refuse an artefact that is less away from another of the seven positions than from its own."""
+    nearest = min(zip(away, asked, strict=True), key=lambda pair: pair[0])[1]
     if nearest is not own:
-        off_mm = away_mm[asked.index(own)]
-        raise CalibrationError(f"it is {off_mm:.0f} mm off its position, and nearer to {nearest.name}: {own.line}")
+        raise CalibrationError(f"it is held as {nearest.name} should be: {own.line}")
 
 
 def _spacing_mm(pair: Sequence[Sphere]) -> float:

@@ -34,7 +34,7 @@ from pipeline.calibration.radiometry import measure_radiometry, radiometry_seque
 from pipeline.calibration.rig_geometry import solve_geometry
 from pipeline.calibration.simulated_board import CaptureLight
 from pipeline.diagnosis.artefacts import BallBar, Plate, Volume, positions_in
-from pipeline.diagnosis.certificate import Certificate, certify, measure_bar, open_pictures
+from pipeline.diagnosis.certificate import Certificate, certify, measure_bar, open_pictures, under_cells
 from pipeline.errors import CalibrationError
 from pipeline.pattern import make_pattern
 from pipeline.simulation import TYPICAL_CROSSTALK
@@ -80,13 +80,12 @@ def certified(folder: Path, seed: int) -> tuple[BallBar, float, Certificate, np.
     file = folder / "calibration.json"
     if not file.exists():
         calibrated(folder, truth, light, seed).write(file)
-    known = Calibration.read(file)
+    known = under_cells(Calibration.read(file))
     volume = Volume.before(known.geometry(), DISTANCE_MM)
     bar = next(bar for spacing in SPACINGS_MM if fits(bar := BallBar(DIAMETER_MM, spacing), volume))
     rng = np.random.default_rng([50, seed])
     true = BallBar(DIAMETER_MM, bar.spacing_mm + OFF_MM * rng.standard_normal())
     codes = make_pattern(PROJECTOR_PX, known.pattern, known.response)
-    known = known.model_copy(update={"pattern": known.pattern.model_copy(update={"compensated": True})})
     plate = Plate.within(volume)
     for artefact, held in ((bar, true), (plate, plate)):
         capture = guided(folder, SimulatedStudio(held, truth=truth, light=light, seed=seed))
