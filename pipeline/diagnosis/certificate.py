@@ -107,6 +107,21 @@ class Sphere(Fit):
     covariance: FloatArray  # (4, 4) of both, mm^2
 
 
+@dataclass(frozen=True)
+class Flat(Fit):
+    """A plate."""
+
+    middle_mm: FloatArray  # (3,)
+    normal: FloatArray  # (3,)
+    sigma_mm: float  # predicted noise across it
+
+    def away(self, asked: Position) -> tuple[float, float]:
+        """Return by how much it is turned from a position, rad, and then how far it is off, mm."""
+        normal = cv2.Rodrigues(asked.turn)[0][:, 2]
+        off_mm = (self.middle_mm - asked.place_mm) @ self.normal
+        return float(np.arccos(min(abs(normal @ self.normal), 1.0))), float(abs(off_mm))
+
+
 def open_pictures(folder: Path, positions: Sequence[Position]) -> Source:
     """Open the pictures of artefacts in their positions.
 
@@ -121,21 +136,6 @@ def open_pictures(folder: Path, positions: Sequence[Position]) -> Source:
         more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
         raise CalibrationError(f"{folder} lacks {missing[0].name}.png{more}: {missing[0].line}")
     return open_source(folder, listed=[found[position.name].name for position in positions])
-
-
-@dataclass(frozen=True)
-class Flat(Fit):
-    """A plate."""
-
-    middle_mm: FloatArray  # (3,)
-    normal: FloatArray  # (3,)
-    sigma_mm: float  # predicted noise across it
-
-    def away(self, asked: Position) -> tuple[float, float]:
-        """Return by how much it is turned from a position, rad, and then how far it is off, mm."""
-        normal = cv2.Rodrigues(asked.turn)[0][:, 2]
-        off_mm = (self.middle_mm - asked.place_mm) @ self.normal
-        return float(np.arccos(min(abs(normal @ self.normal), 1.0))), float(abs(off_mm))
 
 
 def under_cells(calibration: Calibration) -> Calibration:
@@ -244,8 +244,8 @@ def measure_bar(frame: DecodedFrame, bar: BallBar, geometry: Geometry, window_px
     for found_at in find_balls(points, bar.diameter_mm / 2, geometry, 2):
         ball = _inside(found_at, window_px)
         tile = _tiles(ball, frame)
-        found = fit_sphere(points[ball])
-        if found is None or np.unique(tile).size < _LEAST_TILES:
+        found = fit_sphere(points[ball]) if np.unique(tile).size >= _LEAST_TILES else None
+        if found is None:
             raise CalibrationError(f"only {tile.size} points of a ball count: hold it nearer, or take larger balls")
         centre, radius = found
         ways = points[ball] - centre
