@@ -1,8 +1,9 @@
 """Certify a rig by a ball bar and a plate, in the words of VDI/VDE 2634 Part 2, from pictures under the pattern.
 
 **Balls** are found without being told where they are. A point on a ball of radius r, whose surface faces n, has the
-ball's centre at p - r n: all points of a ball vote for one place, which those of a plane or a rod never do. A sphere is
-fitted by geometric least squares. A point's window of smoothing must not reach past the ball, which leaves out its rim.
+ball's centre at p - r n: all points of a ball vote for one place, which those of a plane or a rod never do. Spheres are
+fitted by geometric least squares; of one cap radius and distance are open together, so centres are those of spheres of
+the known diameter. A point's window of smoothing must not reach past the ball, which leaves out its rim.
 
 **Figures** are those of the guideline. *Sphere spacing error*: distance of the two centres less the reference's.
 *Probing error*, size: diameter less the reference's; form: range of the distances from the fitted sphere. *Flatness
@@ -46,7 +47,7 @@ _NORMAL_PX = 3
 # Votes for a ball's centre differ by less than this part of its radius; a plane at the ball's distance then has a
 # sixteenth of its votes. Of a ball's disc this part must be seen.
 _VOTE, _SEEN = 0.25, 0.25
-# A shape needs so many tiles: twice the unknowns of a sphere.
+# A shape needs so many tiles: twice a sphere's unknowns.
 _LEAST_TILES = 8
 # The plate fills this part of the picture at least: where it is farthest the one that is asked for fills a third.
 _FILLED = 0.25
@@ -102,9 +103,9 @@ class Fit:
 class Sphere(Fit):
     """A ball."""
 
-    centre_mm: FloatArray  # (3,)
-    radius_mm: float
-    covariance: FloatArray  # (4, 4) of both, mm^2
+    centre_mm: FloatArray  # (3,) of the sphere of the reference's diameter
+    covariance: FloatArray  # (3, 3) of that, mm^2
+    radius_mm: float  # of the nearest sphere
 
 
 @dataclass(frozen=True)
@@ -244,17 +245,20 @@ def measure_bar(frame: DecodedFrame, bar: BallBar, geometry: Geometry, window_px
     for found_at in find_balls(points, bar.diameter_mm / 2, geometry, 2):
         ball = _inside(found_at, window_px)
         tile = _tiles(ball, frame)
-        found = fit_sphere(points[ball]) if np.unique(tile).size >= _LEAST_TILES else None
-        if found is None:
+        enough = np.unique(tile).size >= _LEAST_TILES
+        found, centred = (fit_sphere(points[ball], size) if enough else None for size in (None, bar.diameter_mm / 2))
+        if found is None or centred is None:
             raise CalibrationError(f"only {tile.size} points of a ball count: hold it nearer, or take larger balls")
-        centre, radius = found
-        ways = points[ball] - centre
-        distance = np.linalg.norm(ways, axis=1)
-        slopes, residual = np.column_stack([ways / distance[:, None], np.ones(tile.size)]), distance - radius
+        (centre, radius), (middle, known_radius) = found, centred
+        ways = points[ball] - middle
+        distance = np.linalg.norm(ways, axis=1, keepdims=True)
+        slopes, residual = ways / distance, distance[:, 0] - known_radius
         # Points of a tile err alike: their sum counts as one.
         sums = np.stack([np.bincount(tile, slope * residual) for slope in slopes.T])
+        few = sums.shape[1] / (sums.shape[1] - 3)
         inverse = np.linalg.inv(slopes.T @ slopes)
-        fits.append(Sphere(*_split(residual, tile), centre, radius, inverse @ (sums @ sums.T) @ inverse))
+        split = _split(np.linalg.norm(points[ball] - centre, axis=1) - radius, tile)
+        fits.append(Sphere(*split, middle, few * inverse @ (sums @ sums.T) @ inverse, radius))
     return fits
 
 
@@ -409,7 +413,7 @@ def _budget(
     for first, second in bars:
         way = second.centre_mm - first.centre_mm
         way /= np.linalg.norm(way)
-        variances.append(way @ (first.covariance + second.covariance)[:3, :3] @ way)
+        variances.append(way @ (first.covariance + second.covariance) @ way)
     fit = float(np.sqrt(np.mean(variances)))
     beyond = max(float(np.var(errors, ddof=1)) - fit**2, 0.0)
     bias_mm = 0.0 if calibration.uncertainty is None else calibration.uncertainty.depth_bias_mm or 0.0
