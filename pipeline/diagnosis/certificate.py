@@ -116,11 +116,9 @@ class Flat(Fit):
     normal: FloatArray  # (3,)
     sigma_mm: float  # predicted noise across it
 
-    def away(self, asked: Position) -> tuple[float, float]:
-        """Return by how much it is turned from a position, rad, and then how far it is off, mm."""
-        normal = cv2.Rodrigues(asked.turn)[0][:, 2]
-        off_mm = (self.middle_mm - asked.place_mm) @ self.normal
-        return float(np.arccos(min(abs(normal @ self.normal), 1.0))), float(abs(off_mm))
+    def turned_rad(self, asked: Position) -> float:
+        """Return by how much it is turned from a position."""
+        return float(np.arccos(min(abs(cv2.Rodrigues(asked.turn)[0][:, 2] @ self.normal), 1.0)))
 
 
 def open_pictures(folder: Path, positions: Sequence[Position]) -> Source:
@@ -196,13 +194,14 @@ def certify(
             if position in bars:
                 pairs.append(measure_bar(frame, bar, geometry, settings.smoothing_px))
                 centres = np.stack([ball.centre_mm for ball in pairs[-1]])
-                _check_place(position, bars, [(_apart_mm(centres, bar.centres_mm(asked)),) for asked in bars])
+                _check_place(position, bars, [_apart_mm(centres, bar.centres_mm(asked)) for asked in bars])
                 _check_bar(pairs[-1], bar, geometry)
             else:
                 flats.append(_measure_plate(frame, settings.smoothing_px))
-                _check_place(position, plates, [flats[-1].away(asked) for asked in plates])
+                _check_place(position, plates, [flats[-1].turned_rad(asked) for asked in plates])
         except CalibrationError as error:
             raise CalibrationError(f"{position.name}: {error}") from None
+    _check_depths(flats)
     errors = [_spacing_mm(pair) - bar.spacing_mm for pair in pairs]
     spheres = [ball for pair in pairs for ball in pair]
     spacing, flatness = _spread("sphere spacing error", errors), _form("flatness measurement error", flats)
@@ -373,11 +372,21 @@ def _apart_mm(centres: FloatArray, asked: FloatArray) -> float:
     return min(_rms(centres - asked), _rms(centres[::-1] - asked))
 
 
-def _check_place(own: Position, asked: Sequence[Position], away: Sequence[tuple[float, ...]]) -> None:
+def _check_place(own: Position, asked: Sequence[Position], away: Sequence[float]) -> None:
     """Refuse an artefact that is less away from another of the seven positions than from its own."""
-    nearest = min(zip(away, asked, strict=True), key=lambda pair: pair[0])[1]
-    if nearest is not own:
-        raise CalibrationError(f"it is held as {nearest.name} should be: {own.line}")
+    nearest = int(np.argmin(away))
+    if away[nearest] < away[asked.index(own)]:
+        raise CalibrationError(f"it is held as {asked[nearest].name} should be: {own.line}")
+
+
+def _check_depths(flats: Sequence[Flat]) -> None:
+    """Refuse a plate that did not face the camera in the middle, near and far."""
+    middle, near, far = (float(flat.middle_mm[2]) for flat in flats[:3])
+    if not near < middle < far:
+        raise CalibrationError(
+            f"plane-2 must be nearer than plane-1, and plane-3 farther: they are {near:.0f}, {middle:.0f} and "
+            f"{far:.0f} mm away"
+        )
 
 
 def _spacing_mm(pair: Sequence[Sphere]) -> float:

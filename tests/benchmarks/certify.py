@@ -53,8 +53,12 @@ def main() -> None:
     print("|---|---|---|---|---|---|---|---|---|")
     errors, flatness, ratios = [], [], []
     with TemporaryDirectory() as scratch, ProcessPoolExecutor(2) as pool:
-        rows = pool.map(partial(certified, options.folder or Path(scratch)), range(options.rigs))
-        for seed, (bar, off_mm, found, elsewhere) in enumerate(rows):
+        rows = pool.map(partial(certified_or_refused, options.folder or Path(scratch)), range(options.rigs))
+        for seed, row in enumerate(rows):
+            if isinstance(row, str):
+                print(f"| {seed} | refused: {row} | | | | | | | |", flush=True)
+                continue
+            bar, off_mm, found, elsewhere = row
             true = np.array(found.spacing_errors_mm) - off_mm
             inside = np.abs(elsewhere) <= found.uncertainty_mm
             errors.append(np.abs(true).max())
@@ -68,6 +72,14 @@ def main() -> None:
             )
     print("| worst | | {:.3f} | | {:.3f} | {:.3f} | | | |".format(max(errors), *np.max(flatness, axis=0)))
     print(f"U contains {np.mean(np.array(ratios) <= 1):.1%} of the true errors, whose RMS is {rms(ratios):.2f} U")
+
+
+def certified_or_refused(folder: Path, seed: int) -> tuple[BallBar, float, Certificate, np.ndarray] | str:
+    """Return what `certified` does, or why it refused the rig or its pictures."""
+    try:
+        return certified(folder, seed)
+    except CalibrationError as error:
+        return str(error)
 
 
 def certified(folder: Path, seed: int) -> tuple[BallBar, float, Certificate, np.ndarray]:

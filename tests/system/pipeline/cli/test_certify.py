@@ -67,6 +67,7 @@ def test_a_rig_is_certified_blind(command, certified):
             GIVEN,
             "plane-1: it is held as plane-6 should be: hold it facing the camera",
         ),
+        (("plane-2", "plane-3"), GIVEN, "plane-2 must be nearer than plane-1, and plane-3 farther: they are 9"),
         (("plane-1", None), GIVEN, "pictures lacks plane-1.png: hold it facing the camera, at the middle distance"),
     ],
 )
