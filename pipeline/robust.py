@@ -28,8 +28,11 @@ def fit_plane(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     return middle, normal
 
 
-def fit_sphere(points: FloatArray) -> tuple[FloatArray, float] | None:
-    """Return centre (3,) and radius of the sphere that is nearest to most of points (N, 3); None: they are flat."""
+def fit_sphere(points: FloatArray, known_radius: float | None = None) -> tuple[FloatArray, float] | None:
+    """Return centre (3,) and radius of the sphere that is nearest to most of points (N, 3); None: they are flat.
+
+    Where the radius is known, the centre is that of a sphere of this radius.
+    """
     near = points
     for _ in range(_FITS):
         start = near.mean(axis=0)
@@ -41,5 +44,14 @@ def fit_sphere(points: FloatArray) -> tuple[FloatArray, float] | None:
             return None
         centre = start + solution[:3]
         radius = float(np.sqrt(solution[3] + solution[:3] @ solution[:3]))
+        near = _near(points, np.linalg.norm(points - centre, axis=1) - radius)
+    free = 4 if known_radius is None else 3
+    radius = known_radius or radius
+    for _ in range(_FITS):  # Gauss-Newton steps take out what squares of distances weigh wrong
+        distance = np.linalg.norm(near - centre, axis=1)
+        rows = np.column_stack([(near - centre) / distance[:, None], np.ones(len(near))])[:, :free]
+        step = np.zeros(4)
+        step[:free] = np.linalg.lstsq(rows, distance - radius, rcond=None)[0]
+        centre, radius = centre + step[:3], radius + float(step[3])
         near = _near(points, np.linalg.norm(points - centre, axis=1) - radius)
     return centre, radius

@@ -7,8 +7,9 @@ there and show that nothing changed meanwhile.
 
 import json
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from pipeline.calibration.captures import SENSOR, SESSION, CapturedFolder, captu
 from pipeline.calibration.multishot import BLACK, WHITE, multishot_codes, multishot_sequence
 from pipeline.calibration.pose_guide import BentBoardError, PoseGuide
 from pipeline.calibration.radiometry import radiometry_codes, radiometry_sequence
+from pipeline.diagnosis.artefacts import Position
 from pipeline.errors import CalibrationError, OutputError
 from pipeline.files import explain, write_atomically
 from pipeline.limits import read_text
@@ -239,6 +241,31 @@ class GuidedCapture:
                 self._report(f"again: {error}")
         return folder
 
+    def take_positions(self, positions: Sequence[Position], codes: npt.NDArray[np.floating]) -> None:
+        """Take a picture of an artefact in each of its positions, under the pattern; those that are there stay.
+
+        Raises
+        ------
+        CalibrationError
+            It is not held still, or nobody comes.
+        OutputError
+            A picture cannot be written.
+        """
+        there, before = captured_files(self._folder), None
+        for position in positions:
+            if position.name in there:
+                continue
+            # Under the pattern a white plate that moves looks another, too.
+            self._show(codes)
+            self._studio.sleep(self._probe.delay_s)
+            elsewhere = partial(self._has_moved, before)
+            before = self._wait_until_still(f"{position.name}: {position.line}", elsewhere, position.outline_px)
+            _write_picture(self._folder / f"{position.name}.png", self.photograph(position.name, codes))
+            self._report(f"{position.name} is taken")
+
+    def _has_moved(self, before: FloatArray | None, now: FloatArray) -> bool:
+        return before is None or not self._alike(before, now)
+
     def _take_pose(self, done: Path, board: Board, guide: PoseGuide) -> None:
         size_px = self._studio.projector_px
         work = done.with_name(f".{done.name}")
@@ -266,16 +293,22 @@ class GuidedCapture:
         """Wait until the camera sees an even sheet that is still, or a key is pressed."""
         black = self._settled(0.0)
         self._settled(1.0)
-        line = "put up a white sheet that fills the picture"
+        self._wait_until_still("put up a white sheet that fills the picture", lambda now: _is_sheet(now - black))
+
+    def _wait_until_still(
+        self, line: str, is_right: Callable[[FloatArray], bool], outline_px: FloatArray | None = None
+    ) -> FloatArray:
+        """Wait until the camera sees what is right, and still, or a key is pressed; return what it sees."""
         last, since_s = None, self._studio.now_s()
         for frame in self._looks(line):
             now = shares(frame)
-            if last is None or not self._alike(last, now) or not _is_sheet(now - black):
+            if last is None or not self._alike(last, now) or not is_right(now):
                 since_s = self._studio.now_s()
             last = now
-            self._studio.guide(Guidance(line, frame))
+            self._studio.guide(Guidance(line, frame, outline_px))
             if self._studio.key_pressed() or self._studio.now_s() - since_s >= _STILL_S:
-                return
+                break
+        return now
 
     def _hold_board(self, name: str, board: Board, guide: PoseGuide) -> None:
         """Wait until the board is held still at another place than before, or a key is pressed."""

@@ -17,7 +17,8 @@ from pipeline.acquisition.simulated_camera import CameraFaults, SimulatedCamera
 from pipeline.acquisition.studio import FRAMES, Guidance
 from pipeline.calibration import Calibration
 from pipeline.calibration.board import Board
-from pipeline.calibration.simulated_board import BoardView, CaptureLight
+from pipeline.calibration.simulated_board import BoardView, CaptureLight, View
+from pipeline.diagnosis.artefacts import BallBar, Plate
 from pipeline.models import FloatArray, ImageArray, SensorPart
 from pipeline.simulation import TYPICAL_CROSSTALK, simulated_truth
 
@@ -41,6 +42,9 @@ _RIM_PX = 3.0
 # The sheet is larger than what the camera sees.
 _SHEET = Board(kind="chessboard", squares=(11, 8), square_mm=60.0)
 _SHEET_TURN, _SHEET_MM = (0.05, 0.1, 0.0), (0.0, 0.0, 900.0)
+# Behind a ball bar is a wall; the bar's rod is this part as thick as its balls; bar and wall send back these parts of
+# the light. A point is in the shadow of what the projector's light meets before this part of its way is left.
+_WALL_MM, _ROD, _BAR, _WALL, _SHADOW = 1400.0, 0.25, 0.8, 0.2, 1e-4
 
 
 @dataclass(frozen=True)
@@ -70,12 +74,62 @@ _SHORTEST_S = 2e-5
 LIGHT = CaptureLight(gamma=2.0, crosstalk=np.array(TYPICAL_CROSSTALK), blur_px=0.5, noise=1.5)
 
 
-class _Sheet(BoardView):
-    """A white sheet."""
+class SheetView(BoardView):
+    """A white sheet, larger than what the camera sees."""
 
-    def drawing(self, board: Board) -> npt.NDArray[np.uint8]:
+    def __init__(
+        self, rig: Calibration, turn: FloatArray, place_mm: FloatArray, light: CaptureLight, samples: int
+    ) -> None:
+        super().__init__(rig, _SHEET, turn, place_mm, light, samples=samples)
+
+    def drawing(self) -> npt.NDArray[np.uint8]:
         """Return what is printed: nothing."""
-        return np.full_like(super().drawing(board), 255)
+        return np.full_like(super().drawing(), 255)
+
+
+class BarView(View):
+    """A ball bar, white and matt, before a grey wall, with the shadows that they cast."""
+
+    def __init__(
+        self, rig: Calibration, bar: BallBar, turn: FloatArray, place_mm: FloatArray, light: CaptureLight, samples: int
+    ) -> None:
+        self._bar = bar
+        super().__init__(rig, turn, place_mm, light, samples)
+
+    def _look(self, rays: FloatArray) -> tuple[npt.NDArray[np.float32], FloatArray]:
+        lamp = -self.geometry.rotation.T @ self.geometry.translation_mm
+        depth, normal = self._meets(np.zeros(3), rays)
+        points = rays * depth[..., None]
+        path = points - lamp
+        distance = np.linalg.norm(path, axis=-1)
+        faces = -(normal * path).sum(axis=-1) / distance
+        lit = (faces > 0) & (self._meets(lamp, path)[0] > 1 - _SHADOW)
+        ink = np.where(points[..., 2] < _WALL_MM - 1, _BAR, _WALL)
+        return np.asarray(ink * lit * faces * (self.place_mm[2] / distance) ** 2, np.float32), points
+
+    def _meets(self, origin: FloatArray, rays: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return after how many of themselves rays (.., 3) meet something, and the normals (.., 3) there."""
+        radius, along = self._bar.diameter_mm / 2, self.rotation[:, 0]
+        half_mm = self._bar.spacing_mm / 2
+        nearest = (_WALL_MM - origin[2]) / rays[..., 2]
+        normal = np.broadcast_to([0.0, 0.0, -1.0], rays.shape).copy()
+        across = np.eye(3) - np.outer(along, along)  # of a rod the direction along it does not count
+        for middle, size, flat in (
+            (self.place_mm, _ROD * radius, across),
+            (self.place_mm - half_mm * along, radius, np.eye(3)),
+            (self.place_mm + half_mm * along, radius, np.eye(3)),
+        ):
+            start, way = (origin - middle) @ flat, rays @ flat
+            a, b = np.einsum("...i,...i", way, way), way @ start
+            square = b * b - a * (start @ start - size * size)
+            near = np.nonzero(square > 0)
+            t = (-b[near] - np.sqrt(square[near])) / a[near]
+            beyond_mm = np.abs((origin - middle + rays[near] * t[:, None]) @ along) - half_mm
+            hit = (t > 0) & (t < nearest[near]) & (beyond_mm < 0)  # no ball reaches so far along the rod
+            near = tuple(places[hit] for places in near)
+            nearest[near] = t[hit]
+            normal[near] = (start + way[near] * t[hit, None]) / size
+        return nearest, normal
 
 
 class SimulatedStudio:
@@ -83,8 +137,8 @@ class SimulatedStudio:
 
     Parameters
     ----------
-    board : Board, optional
-        What is held before it; None: a white sheet.
+    held : Board, BallBar or Plate, optional
+        What is held before it; None: a white sheet stands there.
     exposure_s : float
         The camera's.
     tell : callable, optional
@@ -106,7 +160,7 @@ class SimulatedStudio:
 
     def __init__(
         self,
-        board: Board | None,
+        held: Board | BallBar | Plate | None,
         exposure_s: float = 1 / 60,
         tell: Callable[[str], None] = lambda line: None,
         *,
@@ -115,8 +169,8 @@ class SimulatedStudio:
         faults: StudioFaults = _NO_FAULTS,
         seed: int | None = None,
     ) -> None:
-        self.n_acts = 0 if board is not None else 1
-        self._board, self._exposure_s, self._tell, self._faults, self._seed = board, exposure_s, tell, faults, seed
+        self.n_acts = 0 if held is not None else 1
+        self._held, self._exposure_s, self._tell, self._faults, self._seed = held, exposure_s, tell, faults, seed
         self._truth, self._path = simulated_truth() if truth is None else truth, light
         self._rng = np.random.default_rng(seed)
         self._camera = SimulatedCamera(faults.camera, light.noise, self._rng)
@@ -218,8 +272,8 @@ class SimulatedStudio:
 
     def _hands(self, pose: str, outline: FloatArray) -> FloatArray:
         """Return where a board is held, (6,) rotation vector and mm, that is to fill an outline."""
-        board, lens = self._held(), self._truth.geometry().camera
-        found = cv2.solvePnP(board.outline_mm(), outline, lens.matrix, lens.distortion)
+        lens = self._truth.geometry().camera
+        found = cv2.solvePnP(self._outline_mm(), outline, lens.matrix, lens.distortion)
         turn, place = (each.ravel() for each in found[1:])
         # The same hands at the same pose: a capture that was stopped finds the board where it was.
         rng = np.random.default_rng([self._seed or 0, crc32(pose.encode())])
@@ -235,7 +289,7 @@ class SimulatedStudio:
     def _is_seen(self, stands: FloatArray) -> bool:
         """Return whether camera and projector see a whole board."""
         geometry = self._truth.geometry()
-        outline = self._held().outline_mm() @ cv2.Rodrigues(stands[:3])[0].T + stands[3:]
+        outline = self._outline_mm() @ cv2.Rodrigues(stands[:3])[0].T + stands[3:]
         here, there = (np.zeros(3), np.zeros(3)), (cv2.Rodrigues(geometry.rotation)[0], geometry.translation_mm)
         for lens, (turn, place) in ((geometry.camera, here), (geometry.projector, there)):
             pixels, _ = cv2.projectPoints(outline, turn, place, lens.matrix, lens.distortion)
@@ -243,8 +297,8 @@ class SimulatedStudio:
                 return False
         return True
 
-    def _held(self) -> Board:
-        return _SHEET if self._board is None else self._board
+    def _outline_mm(self) -> FloatArray:
+        return (_SHEET if self._held is None else self._held).outline_mm()
 
     def _stands(self, time_s: float) -> tuple[FloatArray, bool]:
         """Return where the board is, (6,), and whether it is at rest."""
@@ -252,18 +306,21 @@ class SimulatedStudio:
         step = min(1 + int(_MOVE_STEPS * (time_s - since_s) / _MOVE_S), _MOVE_STEPS)
         return before + (to - before) * step / _MOVE_STEPS, step == _MOVE_STEPS
 
-    def _look(self, stands: tuple[float, ...], samples: int, zoom: float) -> BoardView:
+    def _look(self, stands: tuple[float, ...], samples: int, zoom: float) -> View:
         rig = self._truth
         if zoom != 1 and rig.camera is not None:
             matrix = rig.camera.matrix * np.array([[zoom, 1, 1], [1, zoom, 1], [1, 1, 1]])
             rig = rig.model_copy(update={"camera": rig.camera.model_copy(update={"matrix": matrix})})
-        kind = _Sheet if self._board is None else BoardView
         turn, place = np.array(stands[:3]), np.array(stands[3:])
-        return kind(rig, self._held(), turn, place, self._path, samples=samples, bow_mm=self._faults.bow_mm)
+        if isinstance(self._held, BallBar):
+            return BarView(rig, self._held, turn, place, self._path, samples)
+        if isinstance(self._held, Board):
+            return BoardView(rig, self._held, turn, place, self._path, samples=samples, bow_mm=self._faults.bow_mm)
+        return SheetView(rig, turn, place, self._path, samples)
 
     def _light(self, time_s: float, picture: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
         """Return the light that the camera sees of a picture, (H, W, 3)."""
-        stands, at_rest = (np.array([*_SHEET_TURN, *_SHEET_MM]), True) if self._board is None else self._stands(time_s)
+        stands, at_rest = (np.array([*_SHEET_TURN, *_SHEET_MM]), True) if self._held is None else self._stands(time_s)
         faults = self._faults
         moved = faults.moved_from is not None and self.n_acts >= faults.moved_from
         key = (*stands, at_rest, moved, id(picture))

@@ -4,8 +4,10 @@ Written apart from the library's renderer, in NumPy and OpenCV alone, so that wh
 that renderer against itself.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -13,7 +15,7 @@ import numpy.typing as npt
 
 from pipeline.calibration.board import Board
 from pipeline.calibration.lens import Lens
-from pipeline.calibration.model import Calibration, Geometry
+from pipeline.calibration.model import Calibration
 from pipeline.models import FloatArray
 
 FloatImage = npt.NDArray[np.float32]
@@ -44,93 +46,52 @@ class CaptureLight:
 _LIGHT = CaptureLight()
 
 
-class BoardView:
-    """A board as a camera sees it under any picture.
+class View(ABC):
+    """A thing as a camera sees it under any picture.
 
     Parameters
     ----------
     rig : Calibration
         With a geometry.
-    board : Board
-        With a margin of one square of white around it; beyond it is nothing.
     turn : (3,)
-        The board's rotation vector.
+        The thing's rotation vector.
     place_mm : (3,)
         Where its middle lies, in the camera's frame.
     light : CaptureLight
         What happens on the way.
     samples : int
         Rays per pixel, along either side.
-    bow_mm : float
-        How far its left and right edges are bent away from the camera.
     """
 
     def __init__(
         self,
         rig: Calibration,
-        board: Board,
         turn: FloatArray | tuple[float, float, float],
         place_mm: FloatArray | tuple[float, float, float],
-        light: CaptureLight = _LIGHT,
-        *,
-        samples: int = 2,
-        bow_mm: float = 0.0,
+        light: CaptureLight,
+        samples: int,
     ) -> None:
         self.turn, self.place_mm = np.asarray(turn, np.float64), np.asarray(place_mm, np.float64)
-        self.light, self.samples, self.bow_mm = light, samples, bow_mm
-        self._half_mm = board.squares[0] * board.square_mm / 2
+        self.light, self.samples = light, samples
         self.crosstalk = np.eye(3) if light.crosstalk is None else np.asarray(light.crosstalk)
         nowhere = np.zeros((3, 2))
         self.camera_shift = nowhere if light.camera_shift is None else np.asarray(light.camera_shift)
         self.projector_shift = nowhere if light.projector_shift is None else np.asarray(light.projector_shift)
-        geometry = rig.geometry()
+        self.geometry = geometry = rig.geometry()
         self.size = geometry.camera.size_px
-        drawing = self.drawing(board).astype(np.float32) / 255
-        ink = _BLACK + (_WHITE - _BLACK) * np.pad(drawing, _TEXELS, constant_values=1.0)
-        texture = np.asarray(ink, np.float32)
-        rotation = cv2.Rodrigues(self.turn)[0]
-        middle = np.array([*board.squares, 0]) / 2 * board.square_mm
-        origin = self.place_mm - rotation @ middle
-        self.corners_camera = board.corners_mm() @ rotation.T + origin  # (N, 3) mm
+        self.rotation = cv2.Rodrigues(self.turn)[0]
         # Of each of the camera's lateral shifts: what is seen, and the projector pixel that lights it.
         self._views: dict[_Place, tuple[FloatImage, FloatImage]] = {}
+        lens = geometry.camera.model_dump_json()
         for shift in {_place(row) for row in self.camera_shift}:
-            self._views[shift] = self._look(geometry, rotation, origin, _TEXELS / board.square_mm, texture, shift)
+            reflectance, points = self._look(_rays(lens, samples, shift))
+            in_projector = points.reshape(-1, 3) @ geometry.rotation.T + geometry.translation_mm
+            pixels = _seen_by(geometry.projector, in_projector).reshape(*reflectance.shape, 2)
+            self._views[shift] = reflectance, pixels
 
-    def drawing(self, board: Board) -> npt.NDArray[np.uint8]:
-        """Return what is printed, without margin."""
-        return board.draw(_TEXELS)
-
-    def _look(
-        self,
-        geometry: Geometry,
-        rotation: FloatArray,
-        origin: FloatArray,
-        texels_per_mm: float,
-        texture: FloatImage,
-        shift: _Place,
-    ) -> tuple[FloatImage, FloatImage]:
-        """Return the reflectance along every ray, and the projector pixel, (.., 2), that lights it."""
-        width, height = self.size
-        step = (np.arange(self.samples) + 0.5) / self.samples - 0.5
-        x = (np.arange(width)[:, None] + step).ravel()
-        y = (np.arange(height)[:, None] + step).ravel()
-        rays = geometry.camera.rays_through(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2) - np.array(shift))
-        rays = np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
-        normal = rotation[:, 2]
-        bend: FloatArray | float = 0.0
-        for _ in range(_BEND_STEPS if self.bow_mm else 1):
-            points = rays * ((origin @ normal + bend) / (rays @ normal))[:, None]
-            on_board = (points - origin) @ rotation
-            bend = self.bow_mm * (on_board[:, 0] / self._half_mm - 1) ** 2
-        shape = (len(y), len(x), 2)
-        # The texture has a margin of one square.
-        place = (on_board[:, :2] * texels_per_mm + _TEXELS - 0.5).astype(np.float32).reshape(shape)
-        reflectance = cv2.remap(
-            texture, place[..., 0], place[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0
-        )
-        pixels = _seen_by(geometry.projector, points @ geometry.rotation.T + geometry.translation_mm)
-        return np.asarray(reflectance, np.float32), pixels.reshape(shape)
+    @abstractmethod
+    def _look(self, rays: FloatArray) -> tuple[FloatImage, FloatArray]:
+        """Return what rays (H, W, 3) of unit depth meet: its reflectance (H, W), and where it is, (H, W, 3) mm."""
 
     def arrives(self, codes: npt.NDArray[np.floating]) -> FloatImage:
         """Return the light that the camera's pixels see, (H, W, 3), 1 at full scale.
@@ -173,6 +134,58 @@ class BoardView:
     def _averaged(self, fine: FloatImage) -> FloatImage:
         """Return the mean of each pixel's samples."""
         return np.asarray(cv2.resize(fine, self.size, interpolation=cv2.INTER_AREA), np.float32)
+
+
+class BoardView(View):
+    """A board, as `View` describes it.
+
+    Parameters
+    ----------
+    board : Board
+        With a margin of one square of white around it; beyond it is nothing.
+    bow_mm : float
+        How far its left and right edges are bent away from the camera.
+    """
+
+    def __init__(
+        self,
+        rig: Calibration,
+        board: Board,
+        turn: FloatArray | tuple[float, float, float],
+        place_mm: FloatArray | tuple[float, float, float],
+        light: CaptureLight = _LIGHT,
+        *,
+        samples: int = 2,
+        bow_mm: float = 0.0,
+    ) -> None:
+        self.board, self.bow_mm = board, bow_mm
+        super().__init__(rig, turn, place_mm, light, samples)
+        self.corners_camera = board.corners_mm() @ self.rotation.T + self._origin_mm()  # (N, 3) mm
+
+    def drawing(self) -> npt.NDArray[np.uint8]:
+        """Return what is printed, without margin."""
+        return self.board.draw(_TEXELS)
+
+    def _origin_mm(self) -> FloatArray:
+        """Return where the outer corner of the board's first square lies."""
+        return np.asarray(
+            self.place_mm - self.rotation @ (np.array([*self.board.squares, 0]) / 2) * self.board.square_mm
+        )
+
+    def _look(self, rays: FloatArray) -> tuple[FloatImage, FloatArray]:
+        side_mm, origin, normal = self.board.square_mm, self._origin_mm(), self.rotation[:, 2]
+        half_mm = self.board.squares[0] * side_mm / 2
+        bend: FloatArray | float = 0.0
+        for _ in range(_BEND_STEPS if self.bow_mm else 1):
+            points = rays * ((origin @ normal + bend) / (rays @ normal))[..., None]
+            on_board = (points - origin) @ self.rotation
+            bend = self.bow_mm * (on_board[..., 0] / half_mm - 1) ** 2
+        ink = _BLACK + (_WHITE - _BLACK) * np.pad(self.drawing() / np.float32(255), _TEXELS, constant_values=1.0)
+        # The texture has a margin of one square.
+        place = (on_board[..., :2] * (_TEXELS / side_mm) + _TEXELS - 0.5).astype(np.float32)
+        nothing = {"borderMode": cv2.BORDER_CONSTANT, "borderValue": 0}
+        seen = cv2.remap(np.asarray(ink, np.float32), place[..., 0], place[..., 1], cv2.INTER_LINEAR, **nothing)
+        return np.asarray(seen, np.float32), points
 
 
 class BoardCaptures(BoardView, Mapping[str, npt.NDArray[np.uint8]]):
@@ -238,6 +251,16 @@ def board_turns(count: int = 10, seed: int = 1) -> tuple[list[FloatArray], Float
     ]
     places = np.stack([rng.uniform(-25, 25, count), rng.uniform(-20, 20, count), rng.uniform(840, 960, count)], axis=1)
     return turns, places
+
+
+@lru_cache(maxsize=4)  # of a thing that moves and one at rest
+def _rays(lens: str, samples: int, shift: _Place) -> FloatArray:
+    """Return the rays of unit depth, (H, W, 3), of so many samples along either side of every pixel."""
+    camera = Lens.model_validate_json(lens)
+    step = (np.arange(samples) + 0.5) / samples - 0.5
+    x, y = ((np.arange(side)[:, None] + step).ravel() for side in camera.size_px)
+    rays = camera.rays_through(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2) - np.array(shift))
+    return np.insert(rays, 2, 1.0, axis=1).reshape(len(y), len(x), 3)
 
 
 def _place(shift: FloatArray) -> _Place:

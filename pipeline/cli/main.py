@@ -17,6 +17,7 @@ _COMMANDS = {
     "demo": ("demo", "Simulate a colour frame, decode it, and compare the result with the truth."),
     "plan": ("plan", "Predict what a rig will measure, before it is bought."),
     "calibrate": ("calibrate", "Measure the rig: its light, its geometry, and later whether both still hold."),
+    "certify": ("certify", "Certify a rig by a ball bar and a plate: its errors, and the uncertainty of a length."),
     "expose": ("expose", "Set the camera's exposure to the projector's light, and name what is wrong with the rig."),
     "capture": ("capture", "Fire projector and camera, and record every frame with its pulse."),
     "project": ("project", "Show a picture full-screen, pixel for pixel."),

@@ -14,12 +14,13 @@ from pipeline.acquisition.simulated_studio import SimulatedStudio, StudioFaults
 from pipeline.acquisition.studio import RigStudio, Studio
 from pipeline.calibration.board import Board
 from pipeline.cli.console import say, steps
+from pipeline.diagnosis.artefacts import BallBar, Plate
 from tikernels import runtime
 
 
 @contextmanager
 def opened_studio(
-    settings: RigSettings, rig: str, board: Board | None, picture: Path, *, any_exposure: bool = False
+    settings: RigSettings, rig: str, held: Board | BallBar | Plate | None, picture: Path, *, any_exposure: bool = False
 ) -> Iterator[tuple[Studio, Callable[[str], None]]]:
     """Open a rig, or the simulated one; yield it, and the callable that shows the step being done.
 
@@ -29,8 +30,8 @@ def opened_studio(
         The rig.
     rig : str
         Its file, for messages.
-    board : Board or None
-        The board that the simulated operator holds; None: a white sheet.
+    held : Board, BallBar, Plate or None
+        What the simulated operator holds; None: a white sheet stands there.
     picture : Path
         The PNG that shows the operator of a real rig what to do.
     any_exposure : bool
@@ -48,7 +49,7 @@ def opened_studio(
                 colour_cycle_s=settings.projector.colour_cycle_s,
                 camera=WEBCAM if settings.camera.serial == WEBCAM_NAME else CameraFaults(),
             )
-            studio: Studio = SimulatedStudio(board, settings.camera.exposure_s, tell=show, faults=faults)
+            studio: Studio = SimulatedStudio(held, settings.camera.exposure_s, tell=show, faults=faults)
         else:
             if any_exposure:
                 projector = settings.projector.model_copy(update={"colour_cycle_s": None})

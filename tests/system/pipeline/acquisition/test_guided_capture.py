@@ -1,5 +1,6 @@
 """Guided captures: what is kept, what is refused, and how they go on after they were stopped."""
 
+import itertools
 import json
 
 import cv2
@@ -16,8 +17,10 @@ from pipeline.calibration.board import Board
 from pipeline.calibration.captures import CapturedFolder
 from pipeline.calibration.pose_guide import PoseGuide
 from pipeline.calibration.radiometry import measure_radiometry, radiometry_sequence
+from pipeline.diagnosis.artefacts import BallBar, Plate, Volume
 from pipeline.errors import CalibrationError, OutputError
 from pipeline.models import SensorPart
+from pipeline.pattern import make_pattern
 from pipeline.simulation import simulated_rig
 
 NAMES = radiometry_sequence(FlatStudio.projector_px).names
@@ -273,3 +276,19 @@ def test_a_webcams_poses_are_as_good_as_others(tmp_path):
         plane, _ = cv2.findHomography(pose.camera_px, pose.projector_px)
         off = cv2.perspectiveTransform(pose.camera_px[None], plane)[0] - pose.projector_px
         assert np.sqrt((off**2).mean()) < 0.3
+
+
+def test_a_ball_bar_and_a_plate_are_taken_where_they_should_be_once_each(tmp_path):
+    geometry = SMALL.geometry()
+    volume, codes = Volume.before(geometry, None), make_pattern((1024, 768), geometry.pattern)
+    for artefact in (BallBar(60.0, 160.0), Plate.within(volume)):
+        studio = SimulatedStudio(artefact, truth=SMALL, seed=4)
+        capture, lines = capture_of(studio, tmp_path)
+        capture.check_rig()
+        first, second = itertools.islice(artefact.positions(volume), 2)
+        capture.take_positions([first], codes)
+        before = (tmp_path / f"{first.name}.png").read_bytes()
+        capture.take_positions([first, second], codes)
+        assert studio.n_acts == 2 and lines[-1] == f"{second.name} is taken"
+        assert (tmp_path / f"{first.name}.png").read_bytes() == before != (tmp_path / f"{second.name}.png").read_bytes()
+        assert f"{second.name}: {second.line}" in lines
