@@ -352,8 +352,10 @@ def measure_scatter(lattice: Lattice, residuals: _Residuals, inside: _Mask) -> f
     count = max(1, round(_SHARED_CYCLES * lattice.period_px / lattice.columns))
     least = np.take_along_axis(residuals, np.abs(residuals).argmin(axis=0)[None], 0)[0]
     whole = cv2.erode((inside & lattice.says).astype(np.uint8), np.ones((1, count), np.uint8)) > 0
-    means = cv2.blur(least, (count, 1))[whole]
-    if 2 * len(means) < np.count_nonzero(lattice.says):
+    # A matrix that is wrong leaves the same over a cycle later.
+    cycle = round(lattice.period_px / lattice.rows)
+    means = cv2.blur(least[cycle:] - least[:-cycle], (count, 1))[whole[cycle:] & whole[:-cycle]] / np.sqrt(2)
+    if 2 * len(means) <= np.count_nonzero(lattice.says):
         return 1.0
     return max(1.0, float(np.median(np.abs(means)) * np.sqrt(count)) / MEDIAN_SIZE)
 
