@@ -69,9 +69,6 @@ _BLUR = 0.05
 _DIMMEST = 0.05
 # A surface tells z to this fraction of its light, and the brightness' harmonics to that one.
 _MISFIT, _BRIGHTNESS = 0.002, 0.006
-# Of the contrast that red loses where light scatters under the surface. To first order the loss goes with the square of
-# the way, and green and blue get half and a quarter as far, in skin.
-_SCATTERED, _LOST = 0.2, np.array([1, 1 / 4, 1 / 16])
 # Least that an entry changes to, as a fraction of itself, and by how much at the most, as one of its row.
 _LEAST, _MOST = -0.7, 0.5
 # The brightness tells where it is not further than this from what is usual, as a logarithm, and on so many places.
@@ -351,25 +348,21 @@ def _prior_of_surfaces(
     predicted, level = prediction.matrices, samples.light.mean(axis=2, dtype=np.float64)
     count = len(predicted)
     seen = np.maximum(level - ambient, _DIMMEST * level.max(axis=1, keepdims=True))
-    # Independent errors: of every surface its entries, rows, contrasts, ambient light, and how it scatters.
-    causes, rows = np.zeros((count, _COLUMNS, 19)), np.repeat(np.eye(3), 3, axis=0)
+    # Independent errors: of every surface its entries, rows, contrasts and ambient light.
+    causes, rows = np.zeros((count, _COLUMNS, 18)), np.repeat(np.eye(3), 3, axis=0)
     causes[:, :9, :9] = np.eye(9)
     causes[:, :9, 9:12] = rows
     # Less contrast looks like more crosstalk: the three primaries together have next to none.
     even = predicted.mean(axis=1, keepdims=True) / np.maximum(predicted, TINY)
     causes[:, :9, 12:15] = (even - 1).reshape(count, 9, 1) * rows
-    causes[:, :9, 15:18], causes[:, 9:, 15:18] = -rows / seen[:, None], np.eye(3)
-    # What a primary loses of its contrast is light without a fringe, like that of all three.
-    even = (predicted @ _LOST)[..., None] / 3 / np.maximum(predicted, TINY)
-    causes[:, :9, 18] = (even - _LOST).reshape(count, 9)
+    causes[:, :9, 15:], causes[:, 9:, 15:] = -rows / seen[:, None], np.eye(3)
     expected = np.zeros((count, _COLUMNS))
     expected[:, :9] = (ambient - expected_ambient) / seen @ rows.T
     leaks = leak * predicted.sum(axis=1, keepdims=True) / np.maximum(predicted, TINY)
-    sigma = np.zeros((count, 19))
+    sigma = np.zeros((count, 18))
     sigma[:, :9] = np.hypot(_SPREAD * prediction.spread[:, None, None], leaks).reshape(count, 9)
     sigma[:, 9:12], sigma[:, 12:15] = _ROW, samples.contrast_doubt
-    sigma[:, 15:18] = _AMBIENT_FRACTION * expected_ambient + _AMBIENT_SHARE * level.mean(axis=1, keepdims=True)
-    sigma[:, 18] = _SCATTERED
+    sigma[:, 15:] = _AMBIENT_FRACTION * expected_ambient + _AMBIENT_SHARE * level.mean(axis=1, keepdims=True)
     scaled = causes * sigma[:, None]
     return expected, np.asarray(np.linalg.inv(scaled @ scaled.swapaxes(1, 2)))
 
