@@ -27,7 +27,14 @@ from tikernels.phase.surface_matrix import (
     fit_matrices,
     predict_matrices,
 )
-from tikernels.phase.surface_misfits import MODEL_ERROR, NeutralLight, average_light, surface_misfits
+from tikernels.phase.surface_misfits import (
+    MODEL_ERROR,
+    MOST_MISFIT,
+    NeutralLight,
+    average_light,
+    measure_scatter,
+    surface_residuals,
+)
 from tikernels.phase.surface_samples import compare_samples
 from tikernels.phase.surfaces import NO_SURFACE, Surfaces
 
@@ -222,6 +229,7 @@ class SurfaceSearch:
         self._white, self._before = white, before
         self._ambient: FloatArray | None = None  # (n, 3) levels
         self._fitted: FittedMatrices | None = None  # of the first of these surfaces
+        self._scatter = 0.0  # see `measure_scatter`; by the surfaces that the search begins with
         if before is None:
             self._labels, self._colors = look.labels(colors), np.exp(colors)
             self._bands = [known.bands, BROAD]  # where colours act; those that are still possible
@@ -319,7 +327,7 @@ class SurfaceSearch:
             nodes = (look.contrast, look.unlit, look.levels)
             seen = average_light(look.device_image, look.gains, look.crosstalk, *nodes, 1, 1, 0, cells)
             doubt = self._known.contrast_doubt
-            choose_surfaces(*seen, cells, neutral, look.levels, doubt, lattice, new.around, labels)
+            choose_surfaces(*seen, cells, neutral, look.levels, doubt, self._scatter, lattice, new.around, labels)
         return labels
 
     def _fit(self, *, ends: bool = False) -> FittedMatrices | None:
@@ -380,7 +388,9 @@ class SurfaceSearch:
     def _relabel(self, fitted: FittedMatrices, neutral: NeutralLight, *, afresh: bool = False) -> Relabelled:
         """Give every place to the surface that explains it best."""
         lattice, levels, doubt = self._lattice, self._look.levels, self._known.contrast_doubt
-        misfits = surface_misfits(lattice, neutral, levels, doubt)
+        residuals = surface_residuals(lattice, neutral, levels, doubt)
+        self._scatter = self._scatter or measure_scatter(lattice, residuals, ~self._near_edges(_EDGE_PX))
+        misfits = np.where(lattice.says, np.minimum((residuals / self._scatter) ** 2, MOST_MISFIT), np.float32(-1))
         alike = self._alike(fitted) if doubt else np.zeros(len(misfits), bool)
         return relabel(lattice, misfits, self._labels, self._first, alike, afresh=afresh)
 

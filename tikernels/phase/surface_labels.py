@@ -27,7 +27,7 @@ from tikernels.phase.surface_misfits import (
     Lattice,
     NeutralLight,
     cells_of,
-    fill_misfits,
+    fill_residuals,
     place_lanes,
 )
 from tikernels.phase.surfaces import NO_SURFACE
@@ -89,7 +89,7 @@ def relabel(
     lattice : Lattice
         The places.
     misfits : (N, h, w) float32
-        See `surface_misfits`.
+        Squares of residuals, at most `MOST_MISFIT`; -1 where a place says nothing.
     before : (h, w) uint8
         The surfaces that places are taken to show so far.
     founding : (N,) bool
@@ -269,7 +269,7 @@ def near_misfits(
 
 @kernel(whole_vectors=True)
 def choose_surfaces_kernel(
-    misfits: F32Array3,  # (N, H, W) standard deviations of pixels; see `surface_misfits_kernel`
+    misfits: F32Array3,  # (N, H, W) standard deviations of pixels; see `surface_residuals_kernel`
     around: F32Array3,  # (N, h, w) their squares' averages around places of the lattice
     cells: I32Array2,  # (H / 8 up, W / 16 up) a bit for each surface that is asked
     near: F32Array1,  # weights of pixels so far across the stripes
@@ -312,6 +312,7 @@ def choose_surfaces(
     neutral: NeutralLight,
     levels: FrameLevels,
     code_doubt: float,
+    scatter: float,
     lattice: Lattice,
     around: _Misfits,
     out: U8,
@@ -324,8 +325,8 @@ def choose_surfaces(
         Of single pixels; see `average_light`.
     cells : int32
         A bit for each surface that pixels of a cell of 8 x 16 may show; 0: its labels stay.
-    neutral, levels, code_doubt, lattice
-        See `surface_misfits`.
+    neutral, levels, code_doubt, scatter, lattice
+        See `surface_residuals` and `measure_scatter`.
     around : (N, h, w) float32
         See `Relabelled`.
     out : (H, W) uint8
@@ -334,7 +335,7 @@ def choose_surfaces(
     misfits = runtime.empty((len(neutral.unmixing), *(int(n) for n in contrast.shape)), np.float32)
     # A pixel does not tell what its cycle's contrast is.
     even = float(np.hypot(code_doubt, UNEVEN))
-    fill_misfits(light, contrast, cells, neutral, levels, 1, even, misfits)
+    fill_residuals(light, contrast, cells, neutral, levels, 1, even, scatter, misfits)
     near, along = (
         np.exp(-0.5 * (np.arange(_BESIDE + 1) / sigma) ** 2).astype(np.float32) for sigma in (_NEAR_PX, _ALONG_PX)
     )

@@ -69,8 +69,8 @@ _BLUR = 0.05
 _DIMMEST = 0.05
 # A surface tells z to this fraction of its light, and the brightness' harmonics to that one.
 _MISFIT, _BRIGHTNESS = 0.002, 0.006
-# Least that an entry changes to, and most, as fractions.
-_LEAST, _MOST = -0.7, 1.5
+# Least that an entry changes to, as a fraction of itself, and by how much at the most, as one of its row.
+_LEAST, _MOST = -0.7, 0.5
 # The brightness tells where it is not further than this from what is usual, as a logarithm, and on so many places.
 _USUAL_BRIGHTNESS, _LEAST_BRIGHTNESS = 0.5, 30
 # Places of the cycle that the phase's constant is the mean of.
@@ -241,7 +241,7 @@ def fit_matrices(
     own[:, 9:] = ambient - expected_ambient
     if before is not None:
         known, shared = len(before.matrices), before.shared
-        own[:known, :9] = np.clip(before.matrices / predicted[:known] - 1, _LEAST, _MOST).reshape(known, 9)
+        own[:known, :9] = (before.matrices / predicted[:known] - 1).reshape(known, 9)
         own[:known, 9:] = before.ambient - expected_ambient[:known]
     if not fit_light:
         usual = shared
@@ -260,7 +260,8 @@ def fit_matrices(
     change, change_shared = arrow.solve(right, right_shared)
     cost = found.cost + float((off * pull).sum() + off_shared @ pull_shared)
     own, shared = own + change, shared + change_shared
-    own[:, :9] = np.clip(own[:, :9], _LEAST, _MOST)
+    most = _MOST * predicted.sum(axis=2, keepdims=True) / np.maximum(predicted, TINY)
+    own[:, :9] = np.clip(own[:, :9], _LEAST, most.reshape(count, 9))
     matrices, besides, fitted_light = unpacked()
     constant = np.full(count, np.nan)
     if not fit_light:

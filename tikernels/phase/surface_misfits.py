@@ -22,14 +22,14 @@ from tikernels.arrays import F32, I32, LevelsImage
 from tikernels.launching import kernel
 from tikernels.phase.color_balance import Gains, gain_at
 from tikernels.phase.crosstalk import Crosstalk, weighed_vector
-from tikernels.phase.frame_statistics import FrameLevels
+from tikernels.phase.frame_statistics import MEDIAN_SIZE, FrameLevels
 from tikernels.phase.phase_vector import SIGMAS, TINY, absolute_lanes, channel_mean, color_at, matrix_of, phase_weights
 from tikernels.phase.surface_matrix import waves
 from tikernels.phase.surfaces import matrix_lanes, through
 from tikernels.raw.linearization import LEVEL_TYPES
 from tikernels.strips import strip_count
 
-_Misfits = npt.NDArray[np.float32]
+_Residuals = npt.NDArray[np.float32]
 _Array = npt.NDArray[np.float64]
 _Mask = npt.NDArray[np.bool_]
 
@@ -55,6 +55,8 @@ MODEL_ERROR, _AMBIENT_ERROR = 0.01, 0.04
 _PHASES, _PLACES = 256, 1024
 # A code's contrast is told by what is around, a Gaussian in cycles.
 _CODE_CYCLES = 0.3
+# Errors that neighbours share, as JPEG's, are told by means along the stripes over this many cycles.
+_SHARED_CYCLES = 2.0
 
 
 class Lattice(NamedTuple):
@@ -240,7 +242,7 @@ def place_around(x: Static, y: Static):
 
 
 @kernel(whole_vectors=True)
-def surface_misfits_kernel(
+def surface_residuals_kernel(
     light: F32Array3,  # (h, w, 3) levels; see `average_light_kernel`
     contrast: F32Array2,  # (h, w) of the fringe, beside the light's
     cells: I32Array2,  # (h / 8 up, w / 16 up) a bit for each surface that is asked
@@ -250,6 +252,7 @@ def surface_misfits_kernel(
     read_variance: f32,  # levels^2 of a mean
     noise_gain: f32,  # levels, of a mean
     even: f32,  # standard deviation of a place's contrast, as a fraction, where blur is the usual
+    scatter: f32,  # by how much all of that is more
     out: F32Array3,  # (N, h, w) standard deviations; SAYS_NOTHING; undefined where a surface is not asked
     by_contrast: F32Array3,  # likewise: how that changes with the contrast, per 1; else (1, 1, 1)
 ):
@@ -291,7 +294,7 @@ def surface_misfits_kernel(
                         doubt = _AMBIENT_ERROR * ambient[surface, c]
                         noise = read_variance + noise_gain * ti.max(seen[c], 0.0) + wrong * wrong + doubt * doubt
                         variance += across * across * noise
-                    by_sigma = 1.0 / ti.sqrt(ti.max(variance, TINY))
+                    by_sigma = 1.0 / (scatter * ti.sqrt(ti.max(variance, TINY)))
                     result = ti.select(seen[0] > SAYS_NOTHING, (size - swing) * by_sigma, SAYS_NOTHING)
                     changes = swing * by_sigma
                     for k in range(count):
@@ -300,7 +303,7 @@ def surface_misfits_kernel(
                         by_contrast[surface, y, first + k] = changes[k]
 
 
-def surface_misfits(lattice: Lattice, neutral: NeutralLight, levels: FrameLevels, code_doubt: float) -> _Misfits:
+def surface_residuals(lattice: Lattice, neutral: NeutralLight, levels: FrameLevels, code_doubt: float) -> _Residuals:
     """Return what each surface's matrix leaves over at every place.
 
     Parameters
@@ -317,21 +320,47 @@ def surface_misfits(lattice: Lattice, neutral: NeutralLight, levels: FrameLevels
     Returns
     -------
     (N, h, w) float32
-        Squares of standard deviations, at most 16; -1 where a place says nothing.
+        Standard deviations of independent noise; 0 where a place says nothing.
     """
     size, count = lattice.contrast.shape, len(neutral.unmixing)
     out = np.empty((count, *size), np.float32)
     by_contrast = np.empty_like(out) if code_doubt > 0 else None
     cells = np.full(cells_of(size), (1 << count) - 1, np.int32)
     even = _CORNERS if code_doubt > 0 else UNEVEN
-    fill_misfits(lattice.light, lattice.contrast, cells, neutral, levels, 2 * REACH_PX + 1, even, out, by_contrast)
+    pixels = 2 * REACH_PX + 1
+    fill_residuals(lattice.light, lattice.contrast, cells, neutral, levels, pixels, even, 1.0, out, by_contrast)
     said = lattice.says
     if by_contrast is not None:
         _take_off_code(lattice, out, by_contrast, said, code_doubt)
-    return np.where(said, np.minimum(out**2, MOST_MISFIT), np.float32(-1))
+    return np.where(said, out, np.float32(0))
 
 
-def fill_misfits(
+def measure_scatter(lattice: Lattice, residuals: _Residuals, inside: _Mask) -> float:
+    """Return by how much more means of residuals along the stripes scatter than those of independent noise, at least 1.
+
+    1, too, where most means see an edge.
+
+    Parameters
+    ----------
+    lattice : Lattice
+        The places.
+    residuals : (N, h, w) float32
+        See `surface_residuals`; the least of a place counts.
+    inside : (h, w) bool
+        Places that show one surface.
+    """
+    count = max(1, round(_SHARED_CYCLES * lattice.period_px / lattice.columns))
+    least = np.take_along_axis(residuals, np.abs(residuals).argmin(axis=0)[None], 0)[0]
+    whole = cv2.erode((inside & lattice.says).astype(np.uint8), np.ones((1, count), np.uint8)) > 0
+    # A matrix that is wrong leaves the same over a cycle later.
+    cycle = round(lattice.period_px / lattice.rows)
+    means = cv2.blur(least[cycle:] - least[:-cycle], (count, 1))[whole[cycle:] & whole[:-cycle]] / np.sqrt(2)
+    if 2 * len(means) <= np.count_nonzero(lattice.says):
+        return 1.0
+    return max(1.0, float(np.median(np.abs(means)) * np.sqrt(count)) / MEDIAN_SIZE)
+
+
+def fill_residuals(
     light: F32,
     contrast: F32,
     cells: I32,
@@ -339,17 +368,18 @@ def fill_misfits(
     levels: FrameLevels,
     pixels: int,
     even: float,
+    scatter: float,
     out: F32,
     by_contrast: F32 | None = None,
 ) -> None:
-    """Do what `surface_misfits_kernel` does with means over some pixels."""
+    """Do what `surface_residuals_kernel` does with means over some pixels."""
     noise = (levels.read_noise**2 / pixels, levels.noise_gain / pixels)
     changes = runtime.empty((1, 1, 1), np.float32) if by_contrast is None else by_contrast
-    surface_misfits_kernel(light, contrast, cells, *neutral, *noise, even, out, changes)
+    surface_residuals_kernel(light, contrast, cells, *neutral, *noise, even, scatter, out, changes)
     runtime.synchronize()
 
 
-def _take_off_code(lattice: Lattice, residuals: _Misfits, by_contrast: _Misfits, said: _Mask, doubt: float) -> None:
+def _take_off_code(lattice: Lattice, residuals: _Residuals, by_contrast: _Residuals, said: _Mask, doubt: float) -> None:
     """Subtract from the residuals, (N, h, w) standard deviations, what a cycle's own contrast explains.
 
     By a code each cycle has one contrast. A matrix with more crosstalk looks like a cycle with less contrast: if every

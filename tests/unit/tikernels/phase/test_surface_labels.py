@@ -10,7 +10,14 @@ from tikernels.phase.color_balance import Gains
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.surface_labels import cells_of_pixels, choose_surfaces, relabel
-from tikernels.phase.surface_misfits import Lattice, NeutralLight, average_light, surface_misfits
+from tikernels.phase.surface_misfits import (
+    MOST_MISFIT,
+    Lattice,
+    NeutralLight,
+    average_light,
+    measure_scatter,
+    surface_residuals,
+)
 from tikernels.phase.surfaces import NO_SURFACE
 
 LEVELS = FrameLevels(255.0, 1.0, 0.0, 1.0, 5.0, 5.0)
@@ -47,7 +54,7 @@ def paints() -> NeutralLight:
 
 
 def misfits_of(image: np.ndarray, contrast: float = 1.0, code_doubt: float = 0.0) -> np.ndarray:
-    return surface_misfits(lattice_of(image, contrast), paints(), LEVELS, code_doubt)
+    return np.minimum(surface_residuals(lattice_of(image, contrast), paints(), LEVELS, code_doubt) ** 2, MOST_MISFIT)
 
 
 def test_the_right_surface_leaves_noise_over(arch):
@@ -58,6 +65,21 @@ def test_the_right_surface_leaves_noise_over(arch):
         means = misfits[:, numbers[PLACES] == own].mean(axis=1)
         assert 0.1 < means[own] < 0.7
         assert (np.delete(means, own) > 4 * means[own]).all()
+
+
+def test_errors_that_neighbours_share_are_noise(arch):
+    """Of as large errors those of whole stripes leave more in a place's mean, and count for less."""
+    image, _, _ = board(PAINTED, noise=0.0)
+    errors = 5 * np.random.default_rng(1).standard_normal((2, *image.shape))
+    alone, shared = (np.float32(image + error) for error in (errors[0], errors[1][:, :1]))
+    levels = FrameLevels(255.0, 5.0, 0.0, 5.0, 5.0, 5.0)
+    inside = np.abs(np.arange(4, 240, 8)[None] % 80 - 40) < np.full((90, 1), 32)
+    scatters = []
+    for seen in (alone, shared):
+        lattice = lattice_of(seen)
+        scatters.append(measure_scatter(lattice, surface_residuals(lattice, paints(), levels, 0.0), inside))
+    assert scatters[0] < 1.1
+    assert 1.5 < scatters[1] < np.sqrt(5 * 3)  # five pixels a place, three places in two cycles; the least of surfaces
 
 
 def test_a_finer_fringe_has_less_contrast(arch):
@@ -124,7 +146,7 @@ def test_pixels_at_edges_go_to_the_surface_that_explains_them(arch):
     labels = np.roll(numbers, 4, axis=1).astype(np.uint8)
     labels[:20, :100] = NO_SURFACE
     before = labels.copy()
-    choose_surfaces(*seen_of(image, cells=cells), cells, paints(), LEVELS, 0.0, lattice, new.around, labels)
+    choose_surfaces(*seen_of(image, cells=cells), cells, paints(), LEVELS, 0.0, 1.0, lattice, new.around, labels)
     np.testing.assert_array_equal(labels[asked == 0], before[asked == 0])
     assert (labels[:20, :100] == NO_SURFACE).all()
     changed = (asked != 0) & (before != NO_SURFACE)
