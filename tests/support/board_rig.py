@@ -16,9 +16,9 @@ class SpoiltCaptures(BoardCaptures):
             rig, board, turn, place_mm, names, codes, CaptureLight(**light), seed=seed, samples=samples
         )  # fmt: skip
 
-    def drawing(self, board):
+    def drawing(self):
         """Return what is printed, the hidden part black."""
-        drawing = super().drawing(board)
+        drawing = super().drawing()
         if self.hide is not None:
             drawing[self.hide] = 0
         return drawing
