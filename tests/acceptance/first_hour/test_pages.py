@@ -52,6 +52,20 @@ NOT_RUN = {
     "colorphase calibrate capture --rig rig.toml --out captures --board chessboard --squares 11x8 --square-mm 24": (
         "test_first_face.py runs it"
     ),
+    **dict.fromkeys(
+        (
+            f"colorphase certify certified --{known} --diameter-mm 60 --spacing-mm 160.012 --reference-mm 0.004{out}"
+            for known, out in (
+                ("rig rig.toml", ""),
+                ("rig rig.toml", " --out c.json"),
+                ("calibration calibration.json", ""),
+            )
+        ),
+        "needs a ball bar and a plate; test_certify.py simulates them",
+    ),
+    "colorphase certify practice --rig simulated --diameter-mm 60 --spacing-mm 160 --reference-mm 0": (
+        "test_certify.py runs it"
+    ),
     "sudo apt install gcc-avr avr-libc avrdude make": "needs a person's password",
     "cd hardware/firmware": "only for the next one",
     "make flash PORT=/dev/ttyACM0": "needs the board; tests run the firmware in an emulator",

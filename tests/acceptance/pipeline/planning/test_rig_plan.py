@@ -1,7 +1,5 @@
 """What is planned, the noise that is expected, and motion, against simulated frames."""
 
-import math
-
 import numpy as np
 import pytest
 from support.planned_rigs import RIGS, exposure, inside, measured, simulated, simulation
@@ -87,7 +85,7 @@ def test_contrast_fewer_bits_and_a_darker_colour_cost():
 def test_motion_within_the_longest_exposure_moves_the_shape_to_its_middle():
     """A plane's frame is the mean over seven places, with noise: its depth is the middle's, as noisy as at rest.
 
-    The one to a twentieth of a pixel's noise, the other to 10 %.
+    The one to a fifth of a pixel's noise, the other to 10 %.
     """
     plan = plan_rig(sensor="rgb")
     rig, _ = simulated(plan)
@@ -107,6 +105,6 @@ def test_motion_within_the_longest_exposure_moves_the_shape_to_its_middle():
     noisy = settings.model_copy(update={"noise_levels": plan.choice.noise_levels, "bits": 8})
     still = Decoder(DecodeSettings(), rig).decode(simulate_frame(rig, noisy).image)
     rest = still.points[..., 2][middle] - truth.points[..., 2][middle]
-    assert abs(np.median(off) - np.median(rest)) < 0.05 * plan.depth_sigma_mm
+    assert abs(np.median(off) - np.median(rest)) < 0.2 * plan.depth_sigma_mm
     assert np.std(off) == pytest.approx(np.std(rest), rel=0.1)
-    assert passed / math.sqrt(12) == pytest.approx(plan.depth_sigma_mm)
+    assert passed == pytest.approx(DecodeSettings().smoothing_px * plan.fields.mm_per_px)
