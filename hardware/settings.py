@@ -127,8 +127,8 @@ class FieldSettings(_Section):
     blue_s: tuple[NonNegative, NonNegative]
     """From when to when blue is on."""
     locked: bool = False
-    """Whether every frame's pulse, and exposure, comes at the start of a cycle, as a trigger of both makes it; false:
-    the camera runs freely, and decoding finds where in the cycle each frame began."""
+    """Whether a trigger starts every exposure together with a cycle. False: the camera runs freely, and decoding finds
+    where in the cycle each exposure began."""
 
 
 class ProjectorSettings(_Section):

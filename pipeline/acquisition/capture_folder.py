@@ -150,7 +150,7 @@ class CaptureFolder:
         try:
             if calibration is not None:
                 calibration.write(folder / CALIBRATION)
-            if told := _decoding(rig.settings, self._period_s).model_dump(mode="json", exclude_unset=True):
+            if told := _decode_settings(rig.settings, self._period_s).model_dump(mode="json", exclude_unset=True):
                 write_atomically(folder / SETTINGS, tomlkit.dumps(told).encode())
             self._log = CaptureLog(folder / LOG)
             self._log.say(
@@ -381,8 +381,8 @@ class CaptureLog:
             raise OutputError(f"cannot write {self._path}: {explain(error)}") from None
 
 
-def _decoding(rig: RigSettings, period_s: float) -> DecodeSettings:
-    """Return what decoding needs to know of when a rig shows its colours and exposes its rows."""
+def _decode_settings(rig: RigSettings, period_s: float) -> DecodeSettings:
+    """Return the settings that say when the rig shows its colours and exposes its rows."""
     cycle_s, fields = rig.projector.colour_cycle_s, rig.projector.fields
     values: dict[str, Any] = {"row_s": rig.camera.row_s} if rig.camera.row_s else {}
     if cycle_s is not None:

@@ -109,7 +109,7 @@ class Position:
 
     @property
     def line(self) -> str:
-        """What to do."""
+        """The instruction to the operator: how to hold it, and how far away."""
         return f"hold it {self.words}, {self.place_mm[2]:.0f} mm away"
 
 

@@ -1,6 +1,6 @@
 """Certify a rig by a ball bar and a plate, in the words of VDI/VDE 2634 Part 2, from pictures under the pattern.
 
-**Balls** are found without being told where they are. A point on a ball of radius r, whose surface faces n, has the
+**Balls** are found anywhere in the picture. A point on a ball of radius r, whose surface faces n, has the
 ball's centre at p - r n: all points of a ball vote for one place, which those of a plane or a rod never do. Spheres are
 fitted by geometric least squares; of one cap radius and distance are open together, so centres are those of spheres of
 the known diameter. A point's window of smoothing must not reach past the ball, which leaves out its rim.
@@ -71,7 +71,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Certificate:
-    """What a rig measures."""
+    """The figures of a rig, and the uncertainty of the lengths that it measures."""
 
     spacing: Figure
     size: Figure
@@ -193,9 +193,9 @@ def certify(
         try:
             if position in bars:
                 pairs.append(measure_bar(frame, bar, geometry, settings.smoothing_px))
+                _check_bar(pairs[-1], bar, geometry)
                 centres = np.stack([ball.centre_mm for ball in pairs[-1]])
                 _check_place(position, bars, [_apart_mm(centres, bar.centres_mm(asked)) for asked in bars])
-                _check_bar(pairs[-1], bar, geometry)
             else:
                 flats.append(_measure_plate(frame, settings.smoothing_px))
                 _check_place(position, plates, [flats[-1].turned_rad(asked) for asked in plates])

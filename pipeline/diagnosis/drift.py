@@ -1,4 +1,4 @@
-"""How far a rig has moved since its calibration, by a still object that two pictures show in the same place.
+"""How far a rig has drifted since its calibration, from two pictures of an object that has not moved.
 
 A plane in an unknown place is not enough: under a projector that has turned it looks like a plane elsewhere. So a
 picture taken when the calibration was known to be right shows where the still object is, and one taken now at which

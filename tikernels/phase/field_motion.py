@@ -36,6 +36,7 @@ from tikernels.phase.channel_model import ChannelModel
 from tikernels.phase.channel_template import cycle_and_slope, load_harmonics
 from tikernels.phase.color_fields import ColorFields
 from tikernels.phase.crosstalk import Crosstalk
+from tikernels.phase.frame_statistics import MEDIAN_SIZE
 from tikernels.phase.phase_fit import FittedPhase, doubted, node_model
 from tikernels.phase.phase_vector import TINY, channel_delays, channel_mean, color_at
 from tikernels.phase.surfaces import surface_at, surface_matrix
@@ -191,7 +192,7 @@ def _log_likelihood(
     sure = (seen > 0) & (share > _SURE)
     if not sure.any():
         return np.zeros(len(times))
-    size = float(np.median(np.abs(deviation[sure]))) / 0.6745  # a standard deviation, if it is Gaussian
+    size = float(np.median(np.abs(deviation[sure]))) / MEDIAN_SIZE
     weight = sure / (1 + (deviation / max(_HALF_SIGMAS * size, TINY)) ** 2)
     # What motion makes of these two waves; and the waves themselves, the same all over the frame, as a template leaves
     # them that has the mean motion in it: they are fitted to what each hypothesis leaves.
