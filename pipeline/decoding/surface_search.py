@@ -21,6 +21,7 @@ from tikernels.phase.surface_colors import MOST_COLORS, color_ratios, color_word
 from tikernels.phase.surface_labels import LEAST_PX, Relabelled, cells_of_pixels, choose_surfaces, relabel
 from tikernels.phase.surface_matrix import (
     BROAD,
+    PROOF,
     FittedMatrices,
     LightDoubt,
     PredictedMatrices,
@@ -365,7 +366,11 @@ class SurfaceSearch:
         if before is None:  # only a second step shows which prediction fits: ambient light hides it from the first
             both = zip(predictions, results, strict=True)
             results = [fit_matrices(samples, by, *given, first, fit_light=True) for by, first in both]
-        best = int(np.argmin([result.cost for result in results]))
+        # Light that scatters looks a little like colours that act after the crosstalk, which are not usual; a frame's
+        # only colour may be that of a lamp.
+        costs = np.array([result.cost for result in results])
+        costs[1:] += PROOF * (len(chosen) > 1)
+        best = int(costs.argmin())
         self._bands = [self._bands[best]]
         return results[best]
 

@@ -69,6 +69,11 @@ _BLUR = 0.05
 _DIMMEST = 0.05
 # A surface tells z to this fraction of its light, and the brightness' harmonics to that one.
 _MISFIT, _BRIGHTNESS = 0.002, 0.006
+# Of the contrast that red loses where light scatters under the surface. To first order the loss goes with the square of
+# the way, and green and blue get half and a quarter as far, in skin.
+_SCATTERED, _LOST = 0.3, np.array([1, 1 / 4, 1 / 16])
+#: Twice the logarithm of a Bayes factor that is strong evidence (Kass and Raftery, Bayes factors, 1995).
+PROOF = 6
 # Least that an entry changes to, as a fraction of itself, and by how much at the most, as one of its row.
 _LEAST, _MOST = -0.7, 0.5
 # The brightness tells where it is not further than this from what is usual, as a logarithm, and on so many places.
@@ -123,13 +128,15 @@ class PredictedMatrices:
     """(n, 3, 3), the sum of each 3; see `predict_matrices`."""
     spread: _Array
     """(n,) largest less smallest log reflectance at the primaries."""
+    redness: _Array
+    """(n,) log reflectance at the red primary less that at the blue one."""
 
     @classmethod
     def of(cls, colors: npt.ArrayLike, matrix: npt.ArrayLike, weights: npt.ArrayLike) -> "PredictedMatrices":
         """Predict the matrices of surfaces of these colours; the parameters are those of `predict_matrices`."""
         matrices = predict_matrices(colors, matrix, weights)
         log_rho = np.log(np.diagonal(matrices, axis1=1, axis2=2) / np.maximum(np.diag(np.asarray(matrix)), TINY))
-        return cls(matrices, np.ptp(log_rho, axis=1))
+        return cls(matrices, np.ptp(log_rho, axis=1), log_rho[:, 0] - log_rho[:, 2])
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,7 +243,7 @@ def fit_matrices(
         Whether the surfaces tell the light, too; else it stays as it was before.
     """
     count, harmonics, predicted = len(samples.light), light.shape[1], prediction.matrices
-    expected, prior = _prior_of_surfaces(samples, prediction, expected_ambient, ambient, doubt.leak)
+    expected, of_paint, of_skin = _priors_of_surfaces(samples, prediction, expected_ambient, ambient, doubt.leak)
     own, shared, usual = np.zeros((count, _COLUMNS)), np.zeros(harmonics), np.zeros(harmonics)
     own[:, 9:] = ambient - expected_ambient
     if before is not None:
@@ -254,11 +261,15 @@ def fit_matrices(
 
     found = _equations(samples, *unpacked(), predicted, light)
     off, off_shared = expected - own, usual - shared
+    cost = found.cost + float((off * _times(of_paint, off)).sum() + off_shared @ prior_shared @ off_shared)
+    prior = of_paint
+    if before is not None:  # what a first step mends looks like light that scatters
+        proof = _evidence(found, of_skin, off) - _evidence(found, of_paint, off) - PROOF
+        prior = np.where((proof > 0)[:, None, None], of_skin, of_paint)
+        cost -= float(np.maximum(proof, 0).sum())
     arrow = _Arrow.of(found.gram, prior, prior_shared)
-    pull, pull_shared = (prior @ off[..., None])[..., 0], prior_shared @ off_shared
-    right, right_shared = found.right[:, :_COLUMNS] + pull, found.right[:, _COLUMNS:].sum(axis=0) + pull_shared
-    change, change_shared = arrow.solve(right, right_shared)
-    cost = found.cost + float((off * pull).sum() + off_shared @ pull_shared)
+    right = found.right[:, :_COLUMNS] + _times(prior, off)
+    change, change_shared = arrow.solve(right, found.right[:, _COLUMNS:].sum(axis=0) + prior_shared @ off_shared)
     own, shared = own + change, shared + change_shared
     most = _MOST * predicted.sum(axis=2, keepdims=True) / np.maximum(predicted, TINY)
     own[:, :9] = np.clip(own[:, :9], _LEAST, most.reshape(count, 9))
@@ -300,6 +311,20 @@ class _Arrow(NamedTuple):
         return np.asarray((alone * slope[:, :_COLUMNS]).sum(axis=1) + (rest @ self.rest * rest).sum(axis=1))
 
 
+def _evidence(found: "_Equations", prior: _Array, off: _Array) -> _Array:
+    """Return twice the logarithm of how likely a prior makes what each surface shows, (n,), up to a constant."""
+    pull, gram = _times(prior, off), found.gram[:, :_COLUMNS, :_COLUMNS] + prior
+    right = found.right[:, :_COLUMNS] + pull
+    volume = np.linalg.slogdet(prior).logabsdet - np.linalg.slogdet(gram).logabsdet
+    solved = _times(np.asarray(np.linalg.inv(gram)), right)
+    return np.asarray((right * solved - off * pull).sum(axis=1) + volume)
+
+
+def _times(matrices: _Array, vectors: _Array) -> _Array:
+    """Return products of (n, 12, 12) and (n, 12)."""
+    return np.asarray((matrices @ vectors[..., None])[..., 0])
+
+
 def _mismatch(matrices: _Array, predicted: _Array, fundamental: _Complexes) -> _Array:
     """Return how far the channels' fundamentals are from those predicted, apart from what all three share."""
     waves_of = [parts @ fundamental / parts.sum(axis=2) for parts in (matrices, predicted)]
@@ -338,33 +363,39 @@ def _columns(
     return np.concatenate([entries.reshape(len(matrices), -1, p.shape[-1]), direction, wave], axis=1)
 
 
-def _prior_of_surfaces(
+def _priors_of_surfaces(
     samples: SurfaceSamples, prediction: PredictedMatrices, expected_ambient: _Array, ambient: _Array, leak: float
-) -> tuple[_Array, _Array]:
+) -> tuple[_Array, _Array, _Array]:
     """Return the mean, (n, 12), and the inverse covariance, (n, 12, 12), of a surface's own before pixels are seen.
 
-    A channel with more ambient light has as much less in its row of K: the mean light is known.
+    The covariance of paint, and of what light scatters under. A channel with more ambient light has as much less in
+    its row of K: the mean light is known.
     """
     predicted, level = prediction.matrices, samples.light.mean(axis=2, dtype=np.float64)
     count = len(predicted)
     seen = np.maximum(level - ambient, _DIMMEST * level.max(axis=1, keepdims=True))
-    # Independent errors: of every surface its entries, rows, contrasts and ambient light.
-    causes, rows = np.zeros((count, _COLUMNS, 18)), np.repeat(np.eye(3), 3, axis=0)
+    # Independent errors: of every surface its entries, rows, contrasts and ambient light; and how it scatters.
+    causes, rows = np.zeros((count, _COLUMNS, 19)), np.repeat(np.eye(3), 3, axis=0)
     causes[:, :9, :9] = np.eye(9)
     causes[:, :9, 9:12] = rows
     # Less contrast looks like more crosstalk: the three primaries together have next to none.
     even = predicted.mean(axis=1, keepdims=True) / np.maximum(predicted, TINY)
     causes[:, :9, 12:15] = (even - 1).reshape(count, 9, 1) * rows
-    causes[:, :9, 15:], causes[:, 9:, 15:] = -rows / seen[:, None], np.eye(3)
+    causes[:, :9, 15:18], causes[:, 9:, 15:18] = -rows / seen[:, None], np.eye(3)
+    # What a primary loses of its contrast is light without a fringe, a third from each.
+    even = (predicted @ _LOST)[..., None] / 3 / np.maximum(predicted, TINY)
+    causes[:, :9, 18] = (even - _LOST).reshape(count, 9)
     expected = np.zeros((count, _COLUMNS))
     expected[:, :9] = (ambient - expected_ambient) / seen @ rows.T
     leaks = leak * predicted.sum(axis=1, keepdims=True) / np.maximum(predicted, TINY)
-    sigma = np.zeros((count, 18))
+    sigma = np.zeros((count, 19))
     sigma[:, :9] = np.hypot(_SPREAD * prediction.spread[:, None, None], leaks).reshape(count, 9)
     sigma[:, 9:12], sigma[:, 12:15] = _ROW, samples.contrast_doubt
-    sigma[:, 15:] = _AMBIENT_FRACTION * expected_ambient + _AMBIENT_SHARE * level.mean(axis=1, keepdims=True)
+    sigma[:, 15:18] = _AMBIENT_FRACTION * expected_ambient + _AMBIENT_SHARE * level.mean(axis=1, keepdims=True)
+    sigma[:, 18] = _SCATTERED * np.clip(prediction.redness, 0, 1)
     scaled = causes * sigma[:, None]
-    return expected, np.asarray(np.linalg.inv(scaled @ scaled.swapaxes(1, 2)))
+    of_paint, of_skin = (np.linalg.inv(one @ one.swapaxes(1, 2)) for one in (scaled[..., :18], scaled))
+    return expected, np.asarray(of_paint), np.asarray(of_skin)
 
 
 def _prior_of_light(light: _Complexes, doubt: LightDoubt) -> _Array:

@@ -31,17 +31,23 @@ def normalized(matrix: np.ndarray) -> np.ndarray:
 
 
 def pixels(
-    *paints: str, noise: float = 0.5, different: int = 1200, off: float = 0.05, broad: float = 0.25
+    *paints: str,
+    noise: float = 0.5,
+    different: int = 1200,
+    off: float = 0.05,
+    broad: float = 0.25,
+    lost: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> SurfaceSamples:
     """Return 1200 pixels of each paint in ambient light of 6 levels, their phases a little off.
 
-    Of so many different ones.
+    Of so many different ones. The primaries have lost so much of their contrast on skin.
     """
     rng, count = np.random.default_rng(7), 1200
     phase, brightness = rng.uniform(-np.pi, np.pi, count), rng.uniform(60, 140, count)
     of_paints = []
     for paint in paints:
-        clean = brightness * (normalized(surface_matrix(PAINTS[paint], broad)) @ waves(LIGHT, phase)[0]) + 6
+        sent = waves(LIGHT * (1 - (paint == "skin") * np.array(lost)[:, None]), phase)[0]
+        clean = brightness * (normalized(surface_matrix(PAINTS[paint], broad)) @ sent) + 6
         of_paints.append(clean + noise * rng.standard_normal((count, 3)).T)
     which = np.arange(count) * different // count
     seen = np.stack(of_paints)[..., which]
@@ -140,6 +146,17 @@ def test_the_light_is_told_too():
 def test_what_acts_otherwise_costs_more():
     samples = pixels(*COLORED)
     assert fitted(samples).cost < 0.5 * fitted(samples, bands=BROAD).cost
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.2, 0.4])
+def test_light_that_scatters_takes_contrast_from_red(lost):
+    """By the phase that pixels would get: with paint alone 0.026 and 0.120 rad, at a loss of 0.4."""
+    scattered = (lost, lost / 4, lost / 16)
+    result = fitted(pixels(*COLORED, lost=scattered), steps=5)
+    truth = pixels("skin", noise=1e-3, off=0.0, lost=scattered)
+    error = fit_phases(truth, result.matrices[2], np.ones((1200, 1)) * result.ambient[2], result.light) - truth.phase[0]
+    assert abs(error.mean()) < 0.005
+    assert error.std() < 0.006
 
 
 def test_a_fit_goes_on_where_the_last_one_ended():
