@@ -135,9 +135,9 @@ def _modulation(modulation: Floats, noise_levels: float, in_mm: bool) -> Floats:
 
 
 def _sigma(sigma: Floats, noise_levels: float, in_mm: bool) -> Floats:
-    dropped = 23 - _SIGMA_BITS
-    bits = sigma.view(np.uint32) + np.uint32(1 << (dropped - 1))
-    return np.asarray((bits & np.uint32(0xFFFFFFFF << dropped & 0xFFFFFFFF)).view(np.float32))
+    dropped = np.finfo(np.float32).nmant - _SIGMA_BITS
+    bits = sigma.view(np.int32) + np.int32(1 << (dropped - 1))
+    return np.asarray((bits & np.int32(-1 << dropped)).view(np.float32))
 
 
 PHASE_DIGITS = Rounding("to 2^-14 rad", _phase)

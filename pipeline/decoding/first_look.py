@@ -34,7 +34,7 @@ _Labels = npt.NDArray[np.uint8]
 _COLOR_CYCLES = 0.3
 # Where colours change by as much from node to node, as logarithms of ratios, the window sees two surfaces. A colour has
 # at least the second share of what is even: of a fine print little is.
-_SHARP, _LEAST_SHARE = 0.08, 0.05
+_SHARP, _LEAST_SHARE = 0.065, 0.05
 # A node tells a colour if this share of its window is lit.
 _FILLED = 0.3
 # What all of a frame's light has in common is measured on about this many samples.
@@ -44,8 +44,8 @@ _SAMPLES = 3000
 _SWING_CYCLES, _SWING_SIGMAS = 0.65, 5.0
 # How far the fringe's change is averaged for its contrast, in nodes.
 _CONTRAST_NODES = 0.7
-# No camera is better than this fraction of its light, or of that of a fiftieth of full scale.
-_LEAST_NOISE, _DARK = 2e-4, 0.02
+# No camera is better than this fraction of its light.
+_LEAST_NOISE = 2e-4
 
 
 class FirstLook:
@@ -154,8 +154,8 @@ class FirstLook:
         mean, square = (
             cv2.blur(values, (3, 3), borderType=cv2.BORDER_REPLICATE) for values in (self.ratios, self.ratios**2)
         )
-        # Of a slope, that is its square; a corner where squares of two colours meet has none.
-        change = 1.5 * (square - mean**2).sum(axis=-1)
+        # Of a slope, two thirds of its square; a corner where squares of two colours meet has none.
+        change = (square - mean**2).sum(axis=-1)
         weights = (1 / (1 + change / _SHARP**2) ** 4)[self.lit]
         least = min(LEAST_PX / self.spacing_px**2 / 2, _LEAST_SHARE * float(weights.sum()))
         return common_colors(self.ratios[self.lit], weights, least)
@@ -242,7 +242,7 @@ class FirstLook:
         vector = weights.astype(np.float32) @ (channels - ambient[..., None].astype(np.float32))
         bare = np.arctan2(vector[:, 1], vector[:, 0])
         noise = self.levels.read_noise**2 + self.levels.noise_gain * np.maximum(channels, 0)
-        noise += (_LEAST_NOISE * np.maximum(channels, _DARK * self.levels.white)) ** 2
+        noise += (_LEAST_NOISE * channels) ** 2
         found = (channels, noise, bare, np.maximum(mean, TINY), sharp)
         return SurfaceSamples(*found, share, contrast_doubt)
 

@@ -38,15 +38,14 @@ from tikernels.phase.surfaces import Surfaces
 from tikernels.raw.linearization import Transfer
 
 # How far a pixel's contrast may be from what its neighbourhood shows: it hardly changes within a surface, but a code
-# changes it from cycle to cycle, and a fit to a constant one would bend the phase by 0.02 rad.
+# changes it from cycle to cycle, and a fit to a constant one would bend the phase by 0.02 rad. So well the light's
+# contrast is known, too, apart from what blur takes: one that is 0.08 off changes the fitted ambient light by a third.
 _PLAIN_DOUBT, _CODED_DOUBT = 0.02, 0.08
 # Standard error of an entry of a surface's matrix, as a share of its row: calibrated, and estimated from the frame; and
 # the least leak of real filters, where the estimate is the crosstalk with the smallest leaks that fit.
 _LEAK, _UNKNOWN_LEAK, _USUAL_LEAK = 0.004, 0.01, 0.03
-# So may a harmonic of the light: where the response is known, but for contrast and blur, and where it is not; and the
-# contrast apart from what blur takes: one that is 0.08 off changes the fitted ambient light by a third.
+# So may a harmonic of the light: where the response is known, but for contrast and blur, and where it is not.
 _KNOWN_HARMONIC, _SEEN_HARMONIC = 0.0005, 0.02
-_CONTRAST = 0.02
 
 _Singles = npt.NDArray[np.float32]
 
@@ -207,7 +206,7 @@ class LightModel:
             matrix /= matrix.sum(axis=1, keepdims=True)
         doubt = LightDoubt(
             leak=_UNKNOWN_LEAK if self._white is None else _LEAK,
-            contrast=_CONTRAST,
+            contrast=_PLAIN_DOUBT,
             harmonic=_KNOWN_HARMONIC if self.light_known else _SEEN_HARMONIC,
         )
         # Surfaces are fitted to the frame's contrast, not to the neighbourhood's: the code's whole spread is in doubt.

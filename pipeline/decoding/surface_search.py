@@ -46,7 +46,6 @@ _Complexes = npt.NDArray[np.complex128]
 # Places of all surfaces that are asked, in the first turn and in all others; and of one, which has at least the fourth.
 # Those near its edges, where the other side's light is blurred in, are asked only if the inside has fewer.
 _FIRST_SAMPLES, _SAMPLES, _MOST_SAMPLES, _LEAST_SAMPLES = 1000, 4000, 1500, 20
-_MARGIN_PX = 17
 # They are spread evenly: the golden section, whose multiples come nowhere near each other.
 _GOLDEN = 0.6180339887498949
 # A frame whose colours are this close to white, as logarithms of ratios, has nothing to undo.
@@ -376,7 +375,7 @@ class SurfaceSearch:
 
     def _chosen(self) -> dict[int, npt.NDArray[np.intp]]:
         """Return places of every surface that has enough of them, by its number."""
-        clear, inside = self._lattice.says.ravel(), ~self._near_edges(_MARGIN_PX).ravel()
+        clear, inside = self._lattice.says.ravel(), ~self._near_edges(2 * _EDGE_PX).ravel()
         labels, chosen = self._labels.ravel(), {}
         for surface in range(len(self._colors)):
             own = clear & (labels == surface)

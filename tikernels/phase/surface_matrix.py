@@ -74,8 +74,8 @@ _MISFIT, _BRIGHTNESS = 0.002, 0.006
 _SCATTERED, _LOST = 0.3, np.array([1, 1 / 4, 1 / 16])
 #: Twice the logarithm of a Bayes factor that is strong evidence (Kass and Raftery, Bayes factors, 1995).
 PROOF = 6
-# Least that an entry changes to, as a fraction of itself, and by how much at the most, as one of its row.
-_LEAST, _MOST = -0.7, 0.5
+# By how much an entry grows at the most, as a fraction of its row.
+_MOST = 0.5
 # The brightness tells where it is not further than this from what is usual, as a logarithm, and on so many places.
 _USUAL_BRIGHTNESS, _LEAST_BRIGHTNESS = 0.5, 30
 # Places of the cycle that the phase's constant is the mean of.
@@ -98,7 +98,7 @@ def predict_matrices(colors: npt.ArrayLike, matrix: npt.ArrayLike, weights: npt.
         L; see the module.
     """
     seen, white, share = np.asarray(colors, np.float64), np.asarray(matrix, np.float64), np.asarray(weights)
-    white = np.maximum(white, 1e-6 * white.sum(axis=1, keepdims=True))
+    white = np.maximum(white, TINY)
     log_rho = np.log(np.maximum(seen, TINY) / white.sum(axis=1))
     for _ in range(_NEWTON):
         entries = white * np.exp(np.einsum("ijk,nk->nij", share, log_rho))
@@ -272,7 +272,7 @@ def fit_matrices(
     change, change_shared = arrow.solve(right, found.right[:, _COLUMNS:].sum(axis=0) + prior_shared @ off_shared)
     own, shared = own + change, shared + change_shared
     most = _MOST * predicted.sum(axis=2, keepdims=True) / np.maximum(predicted, TINY)
-    own[:, :9] = np.clip(own[:, :9], _LEAST, most.reshape(count, 9))
+    own[:, :9] = np.minimum(own[:, :9], most.reshape(count, 9))
     matrices, besides, fitted_light = unpacked()
     constant = np.full(count, np.nan)
     if not fit_light:

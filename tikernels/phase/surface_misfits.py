@@ -44,8 +44,6 @@ SAYS_NOTHING = -1e9
 MOST_MISFIT = 16.0
 #: Standard deviation of a place's contrast, as a fraction: ambient light is not quite even over a surface.
 UNEVEN = 0.01
-# A code's contrast, which goes in straight lines from cycle to cycle, is off its mean around where the lines meet.
-_CORNERS = 0.02
 # Of the logarithm of the contrast lost to blur, as a fraction of it, since lenses differ.
 _LOST_DOUBT = 0.6
 #: A model is no better than this fraction of a pixel's light, and of the ambient light.
@@ -326,7 +324,8 @@ def surface_residuals(lattice: Lattice, neutral: NeutralLight, levels: FrameLeve
     out = np.empty((count, *size), np.float32)
     by_contrast = np.empty_like(out) if code_doubt > 0 else None
     cells = np.full(cells_of(size), (1 << count) - 1, np.int32)
-    even = _CORNERS if code_doubt > 0 else UNEVEN
+    # A code's contrast goes in straight lines from cycle to cycle: around where they meet it is off its mean.
+    even = 2 * UNEVEN if code_doubt > 0 else UNEVEN
     pixels = 2 * REACH_PX + 1
     fill_residuals(lattice.light, lattice.contrast, cells, neutral, levels, pixels, even, 1.0, out, by_contrast)
     said = lattice.says
