@@ -143,9 +143,9 @@ class Decoder:
             library (PyTorch, JAX: all that speak DLPack) has in the host's memory, which is not copied.
         previous : DecodedFrame, optional
             The frame before in a video, decoded with the same settings. Region by region its orders are carried on
-            where no code tells them, as long as a surface's phase changes by less than a third of a cycle and its edges
-            move by less than 10 px; and its phases count when the response is equalised. A frame that shows nothing
-            of it again starts afresh, with a `DecodeWarning`.
+            where no code tells them, as long as a surface's phase changes by less than a third of a cycle, or by as
+            much more or less than a frame before, and its edges move by less than 10 px; and its phases count when the
+            response is equalised. A frame that shows nothing of it again starts afresh, with a `DecodeWarning`.
         out : DecodedFrame, optional
             An earlier result of the same size, whose arrays are used again: what was read from it changes.
         elapsed : float

@@ -199,6 +199,23 @@ def test_moving_objects_keep_their_orders(arch, scene):
     assert not frame.absolute.any()  # nothing has told the absolute order
 
 
+def test_what_gathers_speed_is_followed_at_two_thirds_of_a_cycle(arch):
+    """A ball comes nearer, from rest on by a tenth of a cycle a frame more each time."""
+    rig = simulated_rig(SIZE)
+    near, far = (simulate_frame(rig, SimulationSettings(scene="ball", object_motion_mm=(0, 0, z))) for z in (-1, 0))
+    moves = near.mask & far.mask & (np.abs(near.phase - far.phase) > 1e-3)
+    mm_per_cycle = 2 * np.pi / np.median(np.abs(near.phase - far.phase)[moves])
+    decoder, frame, place, offsets = Decoder(DecodeSettings(), rig, arch=arch), None, 60.0, []
+    for number in range(11):
+        place -= min(number / 10, 2 / 3) * mm_per_cycle
+        truth = simulate_frame(rig, SimulationSettings(scene="ball", object_motion_mm=(0, 0, place), seed=number))
+        frame = decoder.decode(truth.image, previous=frame)
+        on_ball = frame.mask & truth.mask & (truth.points[..., 2] < near.points[near.mask, 2].max() - 50)
+        off = np.rint((frame.unwrapped_phase - truth.phase)[on_ball] / (2 * np.pi))
+        offsets.append(np.median(off))
+        assert np.mean(off == offsets[0]) > 0.99
+
+
 def test_absolute_orders_are_carried_where_the_code_is_not_seen(arch):
     """The second frame shows the plain pattern: without the first its orders would be relative."""
     coded = simulated_rig((640, 480), code="contrast")
