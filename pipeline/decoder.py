@@ -42,7 +42,7 @@ from tikernels.depth.triangulation import leave_out_blind, triangulate
 from tikernels.order_evidence import follow_phase
 from tikernels.phase.camera_blur import undo_camera_blur
 from tikernels.phase.crosstalk import Crosstalk
-from tikernels.phase.field_motion import FieldMotion, doubt_motion, hold_still, measure_motion
+from tikernels.phase.field_motion import FieldMotion, RowMotion, doubt_motion, hold_still, measure_motion, measure_rows
 from tikernels.phase.frame_statistics import FrameLevels, FrameStatistics, measure_frame
 from tikernels.phase.phase_change import RATE_ACROSS, measure_rates
 from tikernels.phase.phase_fit import FittedPhase, fit_phase
@@ -114,7 +114,9 @@ class Decoder:
         self._expected = None if geometry is None else ExpectedFringe.of(geometry, depth_range_mm)
         self._given = None if unwrapper is None else GivenRegions(unwrapper)
         fields = self.settings.fields
-        self._fields = None if fields is None else fields.in_cycles(self.settings.row_s)
+        frame_s = self.settings.frame_s or np.inf  # rows are 0 frames apart where that is not known
+        self._row = self.settings.row_s / frame_s
+        self._fields = None if fields is None else fields.in_cycles(frame_s, self.settings.row_s)
         self._pool = BufferPool()
         self._workspace: Workspace | None = None
         self.arch = runtime.init(arch)
@@ -296,11 +298,14 @@ class Decoder:
         grow_rims(work.raw_phase, phases.precision, phases.misfit, work.brightness, rates, out=grown)
         work.smoother.across(rows.unwrapped, rows.mask, rates, out=(surface.unwrapped, phases.variance))
         doubt_rims(work.brightness, rows.region, out=phases.variance)
-        # Its place.
+        # Its place, at the time of the middle row.
+        row_motion = self._carry_rows(surface, memory, work)
+        if row_motion is not None:
+            doubt_motion(row_motion, phases.precision, out=phases.misfit)
         if rays is not None:
             triangulate(surface.unwrapped, rays.rays, rays.projector, out=surface.points)
         doubted = (model.contrast, light.mismatch, light.odd, lambda: self._mm_per_rad(surface))
-        moved = () if motion is None or self._fields is None else motion_doubts(motion, self._fields, memory)
+        moved = motion_doubts(motion, row_motion, self._fields, memory)
         order_doubt = placement.warning or lost
         code_lost = order_doubt is not None and order_doubt.key in {"code too weak", "orders guessed"}
         mask = runtime.to_host(surface.mask)  # synchronises
@@ -313,6 +318,7 @@ class Decoder:
             surfaces=light.surfaces,
             stripe_shift_px=placement.shift_px,
             fields=None if motion is None else motion.shares,
+            since_middle=None if row_motion is None else row_motion.since_middle,
             orders=orders,
             constant_known=known.constant_known,
             constant_sigma=light.constant_sigma,
@@ -426,6 +432,16 @@ class Decoder:
         motion = measure_motion(fit.phase, before, fields, memory.fields, work.period_px, rows_last=rows_last)
         lags = motion.lags(fit.modulation)
         return hold_still(frame.image, fit, motion, model, light.crosstalk, lags), motion
+
+    def _carry_rows(self, surface: SurfaceBuffers, memory: FrameMemory | None, work: Workspace) -> RowMotion | None:
+        """Carry the phase to the time of the middle row; return what has moved between rows; None: nothing known."""
+        if not self._row or memory is None:
+            return None
+        before, rows_last = memory.surface.unwrapped, self._setup.stripes == "vertical"
+        row = self._row / memory.elapsed
+        motion = measure_rows(surface.unwrapped, before, row, work.period_px, rows_last=rows_last)
+        runtime.write(runtime.to_host(surface.unwrapped) - motion.since_middle, surface.unwrapped)  # synchronises
+        return motion
 
     def _learn_light(self, frame: LinearFrame, levels: FrameLevels, period_px: float, surface: SurfaceBuffers) -> bool:
         """Learn crosstalk and response from a frame that was decoded without them; return whether it told them."""

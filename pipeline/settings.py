@@ -30,8 +30,6 @@ class FieldTimes(Model):
 
     model_config = ConfigDict(use_attribute_docstrings=True)
 
-    frame_s: Annotated[float, Field(gt=0, le=_LONGEST_S)]
-    """From one frame to the next."""
     cycle_s: Annotated[float, Field(gt=0, le=_LONGEST_S)]
     """How long red, green and blue take together."""
     shown_s: Annotated[FloatArray, ArrayOf((3, 2), _LONGEST_S)] | None = None
@@ -42,11 +40,6 @@ class FieldTimes(Model):
 
     @model_validator(mode="after")
     def _check(self) -> "FieldTimes":
-        if self.cycle_s > self.frame_s * (1 + _OFF):
-            raise ValueError(
-                f"a colour cycle of {self.cycle_s:g} s is longer than a frame of {self.frame_s:g} s, whose exposure "
-                "cannot see all colours: take frames at a lower rate"
-            )
         if self.shown_s is None:
             if self.locked:
                 raise ValueError("locked needs shown_s, when each colour is on after the start of an exposure")
@@ -61,11 +54,11 @@ class FieldTimes(Model):
             )
         return self
 
-    def in_cycles(self, row_s: float) -> ColorFields:
+    def in_cycles(self, frame_s: float, row_s: float) -> ColorFields:
         """Return it as decoding uses it."""
         shown = None if self.shown_s is None else self.shown_s / self.cycle_s
         start = 0.0 if self.locked else None
-        return ColorFields(self.cycle_s / self.frame_s, row_s / self.cycle_s, shown, start)
+        return ColorFields(self.cycle_s / frame_s, row_s / self.cycle_s, shown, start)
 
 
 def _odd_or_zero(value: int) -> int:
@@ -112,10 +105,13 @@ class DecodeSettings(Model):
     "none": the pattern is plain. None: the calibration's pattern has one, or the first frame with fringes shows it."""
     fields: FieldTimes | None = None
     """How the projector shows red, green and blue where it shows them one after another. Then `previous` tells what
-    moved in between, and, unless `fields.locked`, when each exposure began. None: all at once."""
+    moved in between, and, unless `fields.locked`, when each exposure began. It needs `frame_s`. None: all at once."""
+    frame_s: Annotated[float, Field(gt=0, le=_LONGEST_S)] | None = None
+    """From one frame of a video to the next. None: not known, as of single pictures."""
     row_s: Annotated[float, Field(ge=0, le=_LONGEST_S)] = 0.0
-    """From one row's exposure to the next one's, of a camera with a rolling shutter: what moves is measured where it
-    was in the middle of its own row's exposure. Pictures must not be turned. 0: all rows at once, or not known."""
+    """From one row's exposure to the next one's, of a camera with a rolling shutter: each row shows what moves where it
+    is in the middle of the row's own exposure. With `frame_s` and `previous` the phase is carried to that of the middle
+    row. Pictures must not be turned. 0: all rows at once, or not known."""
     noise: tuple[_Level, _Level] | None = None
     """Read noise's standard deviation s and gain g, in grey levels: a channel's variance is s^2 + g times its level.
     None: estimated from the frame."""
@@ -134,6 +130,13 @@ class DecodeSettings(Model):
                 invert_crosstalk(self.crosstalk_matrix, normalize_rows=True)
             except ShapeError as error:
                 raise ValueError(str(error)) from None
+        if self.fields is not None and self.frame_s is None:
+            raise ValueError("fields need frame_s, the time from one frame to the next")
+        if self.fields is not None and self.frame_s is not None and self.fields.cycle_s > self.frame_s * (1 + _OFF):
+            raise ValueError(
+                f"fields: a colour cycle of {self.fields.cycle_s:g} s is longer than a frame of {self.frame_s:g} s, "
+                "whose exposure cannot see all colours: take frames at a lower rate"
+            )
         sides = ("above", "below") if self.stripes == "horizontal" else ("left", "right")
         if self.projector_side not in (None, *sides):
             raise ValueError(

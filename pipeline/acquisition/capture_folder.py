@@ -385,8 +385,10 @@ def _decode_settings(rig: RigSettings, period_s: float) -> DecodeSettings:
     """Return the settings that say when the rig shows its colours and exposes its rows."""
     cycle_s, fields = rig.projector.colour_cycle_s, rig.projector.fields
     values: dict[str, Any] = {"row_s": rig.camera.row_s} if rig.camera.row_s else {}
+    if values or cycle_s is not None:
+        values["frame_s"] = period_s
     if cycle_s is not None:
-        values["fields"] = {"frame_s": period_s, "cycle_s": cycle_s}
+        values["fields"] = {"cycle_s": cycle_s}
         if fields is not None:
             shown_s = (fields.red_s, fields.green_s, fields.blue_s)
             values["fields"] |= {"shown_s": shown_s, "locked": fields.locked}

@@ -149,9 +149,9 @@ class Worker:
 
     def _elapsed(self, number: int) -> int:
         """Return how many times from frame to frame a frame is later than the one that was decoded last."""
-        passed, fields = number - self._decoded, self._job.settings.fields
-        if self._times is not None and fields is not None:
-            passed = round((self._times.of(number) - self._times.of(self._decoded)) / fields.frame_s)
+        passed, frame_s = number - self._decoded, self._job.settings.frame_s
+        if self._times is not None and frame_s is not None:
+            passed = round((self._times.of(number) - self._times.of(self._decoded)) / frame_s)
         return max(1, passed)
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 from rich.table import Table
 
-from pipeline.cli.console import Arch, SettingsFile, read_settings, say, stdout, steps
+from pipeline.cli.console import Arch, SettingsFile, read_calibration, read_settings, say, stdout, steps
 from pipeline.footage.source import StoredAs
 
 if TYPE_CHECKING:
@@ -24,6 +24,7 @@ def inspect(
     /,
     *,
     settings: SettingsFile = None,
+    calibration: Path | None = None,
     json: bool = False,
     arch: Arch = "auto",
     stored_as: Annotated[StoredAs, Parameter(name="*")] = _AS_IT_SAYS,
@@ -38,6 +39,8 @@ def inspect(
     ----------
     input
         A picture, a folder of pictures, a video or a recording.
+    calibration
+        The rig's calibration.json; with it the costs of motion are in mm.
     json
         Print JSON instead of a table.
     """
@@ -45,7 +48,7 @@ def inspect(
 
     chosen = read_settings(settings)
     with steps() as step:
-        found = inspect_footage(input, stored_as, chosen, arch, step)
+        found = inspect_footage(input, stored_as, chosen, arch, step, read_calibration(calibration))
     if json:
         for line in dumps(found.as_json(), indent=1).splitlines():
             say(line)

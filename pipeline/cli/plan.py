@@ -12,6 +12,7 @@ from rich.table import Table
 from pipeline.cli.console import remark, size_of, stdout
 from pipeline.planning import RigChoice, RigPlan, plan_rig
 from pipeline.planning.expected_calibration import PICTURES, POSES
+from pipeline.planning.motion_cost import motion_costs
 from pipeline.planning.rig_plan import TILTS_DEG
 
 # The options are the fields of a rig, named without units.
@@ -128,30 +129,17 @@ def _motion_rows(plan: RigPlan) -> list[tuple[str, str, str]]:
     if plan.exposure_s is None or choice.speed_mm_s == 0:
         return [("longest exposure", "any", f"nothing moves{whole}")]
     speed = f"at {choice.speed_mm_s:g} mm/s"
-    rows = [
-        (
-            "longest exposure",
-            f"{_number(1e3 * plan.longest_exposure_s)} ms",
-            f"{speed} motion then takes as much detail as smoothing{whole}",
-        ),
+    exposure, *others = motion_costs(choice.speed_mm_s, plan.fields.mm_per_px, choice.colour_cycle_s)
+    return [
+        (exposure.topic, f"{_number(exposure.value)} {exposure.unit}", exposure.meaning + whole),
         (
             "moved meanwhile",
             f"{_number(plan.passed_mm)} mm",
             f"in {_number(1e3 * plan.exposure_s)} ms; the depth is that of the exposure's middle",
         ),
+        *((cost.topic, f"{_number(cost.value)} {cost.unit}", cost.meaning) for cost in others),
+        ("frame rate", f"{_number(plan.least_rate_hz)} Hz", f"or more, to carry orders {speed} under a plain pattern"),
     ]
-    if choice.colour_cycle_s is not None:
-        rows.append(
-            (
-                "colours in turn",
-                f"{_number(plan.colour_bias_mm)} mm",
-                f"RMS at most, a ripple {speed}: {_number(plan.colour_bias_mm / choice.speed_mm_s)} mm per mm/s",
-            )
-        )
-    rows.append(
-        ("frame rate", f"{_number(plan.least_rate_hz)} Hz", f"or more, to carry orders {speed} under a plain pattern")
-    )
-    return rows
 
 
 def _board_rows(plan: RigPlan) -> list[tuple[str, str, str]]:

@@ -13,7 +13,7 @@ from pipeline.decoding.surface_search import NoModelFits
 from tikernels import runtime
 from tikernels.arrays import LevelsImage
 from tikernels.phase.color_fields import ColorFields
-from tikernels.phase.field_motion import FieldMotion
+from tikernels.phase.field_motion import FieldMotion, RowMotion
 from tikernels.phase.frame_statistics import COLUMNS, MIN_PERIOD_PX, FrameLevels, measure_frame
 from tikernels.raw.repeated_chroma import RepeatedChroma
 from tikernels.transposing import transpose
@@ -225,14 +225,19 @@ def light_doubts(
     return tuple(Cause(key, words) for key, words in doubts.items())
 
 
-def motion_doubts(motion: FieldMotion, fields: ColorFields, memory: FrameMemory | None) -> tuple[Cause, ...]:
-    """Say which motion between the colours of a frame is left, and in which order the frames show that they come."""
+def motion_doubts(
+    motion: FieldMotion | None, row_motion: RowMotion | None, fields: ColorFields | None, memory: FrameMemory | None
+) -> tuple[Cause, ...]:
+    """Say which motion inside a frame is left, and in which order the frames show that its colours come."""
     doubts: dict[Key, str] = {}
-    if motion.too_fast > _FEW:
-        doubts["too fast"] = (
-            f"{motion.too_fast:.0%} of the surface moves by a third of a cycle or more from frame to frame: its "
-            "colours, one after another, cannot be put together there; take frames faster"
-        )
+    for moved, parts in ((row_motion, "rows"), (motion, "colours")):
+        if moved is not None and moved.too_fast > _FEW:
+            doubts["too fast"] = (
+                f"{moved.too_fast:.0%} of the surface moves by a third of a cycle or more from frame to frame: its "
+                f"{parts}, one after another, cannot be put together there; take frames faster"
+            )
+    if motion is None or fields is None:
+        return tuple(Cause(key, words) for key, words in doubts.items())
     rows = max(motion.times.shape[:2])
     order = fields.found_order(motion.shares, rows)
     if motion.unknown > _FEW:

@@ -139,9 +139,18 @@ class Measured:
     front_is_clear: bool = False  # whether that is more than a guess
     light: FrameLight | None = None  # image and model; None: no fringe
     fields: npt.NDArray[np.float64] | None = None  # see `FrameMemory`
+    since_middle: Floats | None = None  # (H, W) rad, see `RowMotion`; None: the phase is as the rows show it
     constant_known: bool = False
     constant_sigma: float = np.nan  # rad, by the light alone
     mismatch: float = np.nan  # of the colours with what the crosstalk makes of them, as a fraction
+
+    @property
+    def seen_phase(self) -> F32:
+        """(H, W) rad: the unwrapped phase at the rows' own times, as the image shows it."""
+        unwrapped = self.surface.unwrapped
+        if self.since_middle is None:
+            return unwrapped
+        return runtime.to_device(runtime.to_host(unwrapped) + self.since_middle)  # synchronises
 
     @property
     def doubts(self) -> tuple[Cause, ...]:
@@ -318,7 +327,7 @@ class DecodedFrame:
             height, width = self.mask.shape
             return np.zeros((height, width, 3), np.uint8)
         with runtime.lock:
-            return self._read(measure_texture(light, surface.unwrapped, surface.mask, self.period_px or 1.0))
+            return self._read(measure_texture(light, self._measured.seen_phase, surface.mask, self.period_px or 1.0))
 
     @property
     def row_sigma(self) -> Floats:
@@ -345,7 +354,8 @@ class DecodedFrame:
     def memory(self) -> FrameMemory:
         """What the next frame of a video may know of this one."""
         measured = self._measured
-        return FrameMemory(self._setup.stripes, measured.surface, measured.orders, measured.surfaces, measured.fields)
+        surface = replace(measured.surface, unwrapped=measured.seen_phase)
+        return FrameMemory(self._setup.stripes, surface, measured.orders, measured.surfaces, measured.fields)
 
     def plot(self, field: str = "range_image", ax: "Axes | None" = None) -> "FigureBase":
         """Draw a field with its scale, in its unit, from its 1st to its 99th percentile.

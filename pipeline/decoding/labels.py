@@ -34,7 +34,12 @@ _LABELS = {
     "x": {"long_name": "column of the camera's picture", "units": "1", "comment": "px, at the centres of pixels"},
     "xyz": {"long_name": "axis of the camera's frame", "comment": "x right, y down, z forward"},
     "rgb": {"long_name": "channel", "comment": "sRGB"},
-    "row_time": {"long_name": "time of the row's exposure after the frame's", "units": "s"},
+    "row_time": {
+        "long_name": "time that a row's points are of, after the first row's exposure",
+        "units": "s",
+        "comment": "the middle row's where motion is carried to it; where the frame before does not show motion, as in "
+        "the first frame, a row's own: y times row_s of the settings",
+    },
 }
 
 
@@ -64,7 +69,12 @@ def field_labels(name: str, field: Field[Any], range_unit: str) -> dict[str, Any
 
 
 def axis_coordinates(
-    axes: Iterable[str], size_px: tuple[int, int], corner_px: tuple[int, int] = (0, 0), row_s: float = 0.0
+    axes: Iterable[str],
+    size_px: tuple[int, int],
+    corner_px: tuple[int, int] = (0, 0),
+    row_s: float = 0.0,
+    *,
+    at_once: bool = False,
 ) -> dict[str, Coordinate]:
     """Return the coordinates along the axes of fields.
 
@@ -76,6 +86,8 @@ def axis_coordinates(
         Width and height of a frame, and x and y of its first pixel in the camera's picture, where a part is decoded.
     row_s : float
         From one row's exposure to the next one's, of a rolling shutter, whose rows have times; 0: they have none.
+    at_once : bool
+        Whether motion is carried to the time of the middle row.
     """
     (width, height), (x, y) = size_px, corner_px
     values: dict[str, npt.NDArray[Any]] = {
@@ -88,7 +100,8 @@ def axis_coordinates(
         name: ((name,), values[name], dict(_LABELS[name])) for name in values if name in set(axes)
     }
     if row_s and "y" in found:
-        found["row_time"] = (("y",), row_s * values["y"], dict(_LABELS["row_time"]))
+        times = row_s * values["y"]
+        found["row_time"] = (("y",), np.full(height, times.mean()) if at_once else times, dict(_LABELS["row_time"]))
     return found
 
 

@@ -6,11 +6,13 @@ Of how they were taken: contrast, clipping, drift, motion, and where their colou
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from pipeline.calibration import Calibration
 from pipeline.causes import Cause
 from pipeline.decoder import Decoder
 from pipeline.decoding.doubts import finest_fringe
@@ -230,6 +232,36 @@ class SitingFit:
 
 #: What is compared: chroma of files as they are stored sits so, unless its rows are those of the picture's columns.
 SITINGS: tuple[Siting, Siting] = ("left", "centre")
+
+
+class Scale(NamedTuple):
+    """The size of things in a frame, by a calibrated rig; medians."""
+
+    mm_per_px: float  # of the camera
+    mm_per_rad: float  # of depth, along the pixels' rays
+
+
+def measure_scale(source: Source, settings: DecodeSettings, calibration: Calibration, arch: str) -> Scale | None:
+    """Return the scale in the middle frame; None if it shows nothing.
+
+    Raises
+    ------
+    CalibrationError
+        The calibration is for another frame size.
+    """
+    for stored in source.frames(len(source) // 2, len(source) // 2 + 1):
+        if isinstance(stored, BadFrame):
+            break
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DecodeWarning)  # said of the same frame without a calibration
+            look = inspect_frame(stored, Decoder(decoder_settings(settings), calibration, arch=arch), settings)
+        frame = look.frame
+        if frame is None or frame.points is None or frame.point_sigma is None:
+            break
+        depth_mm = float(np.nanmedian(frame.points[..., 2]))
+        per_rad = float(np.nanmedian(frame.point_sigma / frame.phase_sigma))
+        return Scale(depth_mm / float(calibration.geometry().camera.matrix[0, 0]), per_rad)
+    return None
 
 
 def fit_siting(stored: StoredFrame, settings: DecodeSettings, arch: str) -> SitingFit:

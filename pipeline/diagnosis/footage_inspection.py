@@ -8,14 +8,17 @@ from typing import Any, Literal
 
 import numpy as np
 
+from pipeline.calibration import Calibration
 from pipeline.diagnosis.channel_spectra import LEAST_RAD
 from pipeline.diagnosis.footage_evidence import (
     MIN_CONTRAST,
     FootageEvidence,
     FrameQuality,
+    Scale,
     bits_of,
     gather_evidence,
     measure_gains,
+    measure_scale,
     stands_still,
 )
 from pipeline.diagnosis.ripple import BANDS
@@ -23,6 +26,7 @@ from pipeline.footage.image_folder import ImageFolder
 from pipeline.footage.opening import open_source
 from pipeline.footage.source import Source, StoredAs
 from pipeline.footage.video_file import VideoFile, films
+from pipeline.planning.motion_cost import USUAL_SPEED_MM_S, motion_costs
 from pipeline.settings import DecodeSettings
 from tikernels import runtime
 from tikernels.raw.pixel_format import FLOAT_BITS
@@ -346,9 +350,7 @@ def time_findings(seen: FootageEvidence, typical: FrameQuality) -> Iterator[Foot
     """Yield what changes from frame to frame."""
     yield from _drift_findings(seen)
     if seen.motion_rad:
-        noise = _NOISE_CHANGE * typical.sigma_rad
-        most = max(seen.motion_rad)
-        moved = float(np.sqrt(most**2 - noise**2)) if most > _MOVING * noise else 0.0
+        moved = _moved_rad(seen, typical)
         # An exposure as long as a frame averages over all of it, and takes this from the contrast.
         left = float(np.sinc(moved / (2 * np.pi)))
         cost = typical.sigma_rad * float(np.sqrt(1 / max(left, 0.05) ** 2 - 1))
@@ -373,6 +375,26 @@ def time_findings(seen: FootageEvidence, typical: FrameQuality) -> Iterator[Foot
             finding.advice,
             grade="costs",
         )
+
+
+def _moved_rad(seen: FootageEvidence, typical: FrameQuality) -> float:
+    """Return how far the fastest surface moves from frame to frame; 0 if nothing stands out of the noise."""
+    noise, most = _NOISE_CHANGE * typical.sigma_rad, max(seen.motion_rad, default=0.0)
+    return float(np.sqrt(most**2 - noise**2)) if most > _MOVING * noise else 0.0
+
+
+def cost_findings(
+    seen: FootageEvidence, facts: ContainerFacts, typical: FrameQuality, scale: Scale | None, n_rows: int
+) -> Iterator[FootageFinding]:
+    """Yield the costs of motion in mm, in the words of `colorphase plan`, at the speed seen or the usual one."""
+    settings, moved = seen.settings, _moved_rad(seen, typical)
+    speed_mm_s, rate_hz = USUAL_SPEED_MM_S, facts.rate_hz or (1 / settings.frame_s if settings.frame_s else None)
+    if scale is not None and rate_hz is not None and moved:
+        speed_mm_s = moved * scale.mm_per_rad * rate_hz
+    cycle_s = None if settings.fields is None else settings.fields.cycle_s
+    mm_per_px = None if scale is None else scale.mm_per_px
+    for cost in motion_costs(speed_mm_s, mm_per_px, cycle_s, settings.row_s * (n_rows - 1)):
+        yield _finding(cost.topic, f"{cost.value:.2g} {cost.unit} {cost.meaning}")
 
 
 def _drift_findings(seen: FootageEvidence) -> Iterator[FootageFinding]:
@@ -458,6 +480,7 @@ def inspect_footage(
     settings: DecodeSettings | None = None,
     arch: str = "auto",
     tell: Callable[[str], None] = lambda _: None,
+    calibration: Calibration | None = None,
 ) -> Inspection:
     """Look at some twenty frames, however many there are, and say what their phase suffers from.
 
@@ -473,11 +496,15 @@ def inspect_footage(
         Where to compute.
     tell : callable
         Called with what is being done.
+    calibration : Calibration, optional
+        Of the rig, to give the costs of motion in mm.
 
     Raises
     ------
     FootageError
         It cannot be read at all.
+    CalibrationError
+        The calibration is for another frame size.
     DeviceNotReady
         The machine lacks the arch.
     """
@@ -488,6 +515,7 @@ def inspect_footage(
         runtime.init(arch)
         facts = container_facts(Path(path), source)
         seen = gather_evidence(source, says, settings, arch, tell)
+        scale = None if calibration is None else measure_scale(source, seen.settings, calibration, arch)
     finally:
         source.close()
     findings = [*container_findings(facts, source), *frame_findings(seen, facts, settings)]
@@ -503,6 +531,7 @@ def inspect_footage(
             *storage_findings(seen, facts, source, typical),
             *light_findings(seen, typical),
             *time_findings(seen, typical),
+            *cost_findings(seen, facts, typical, scale, source.size_px[1]),
         ]
         open_questions += not_told(seen, facts, source)
     if seen.n_frames < len(source):

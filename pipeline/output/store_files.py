@@ -299,8 +299,10 @@ def _coordinates(
     corner = (0, 0) if part is None else (part["x"], part["y"])
     axes = {axis for name in fields for axis in FIELDS[name].axes}
     known = () if times is None else (times.seconds, times.since)
-    row_s = attributes.get("settings", {}).get("row_s", 0.0)
-    return {**frame_coordinates(n_frames, *known), **axis_coordinates(axes, size_px, corner, row_s)}
+    settings = attributes.get("settings", {})
+    at_once = n_frames > 1 and settings.get("frame_s") is not None
+    rows = axis_coordinates(axes, size_px, corner, settings.get("row_s", 0.0), at_once=at_once)
+    return {**frame_coordinates(n_frames, *known), **rows}
 
 
 def _described(name: str, attributes: dict[str, Any], coordinates: Mapping[str, Coordinate]) -> dict[str, Any]:

@@ -21,6 +21,7 @@ from pipeline.calibration.model import DEFAULT_CODE, DEFAULT_PROJECTOR_PX, Geome
 from pipeline.errors import FootageError
 from pipeline.limits import check_size
 from pipeline.models import CodeName, FloatArray, Model, Positive
+from pipeline.planning.motion_cost import USUAL_SPEED_MM_S
 
 # Nothing that is sold for such a rig lies outside these bounds, in the unit of the field's name.
 _Side = Annotated[int, Field(ge=64, lt=2**20)]
@@ -75,7 +76,7 @@ class RigChoice(Model):
     """The camera's noise, one standard deviation, in 1/255 of full scale."""
     bits: Literal[8, 10, 12, 16] = 8
     """The camera's."""
-    speed_mm_s: _Speed = 100.0
+    speed_mm_s: _Speed = USUAL_SPEED_MM_S
     """The speed at which the object comes nearer or goes away, mm/s; 0: it holds still."""
     exposure_s: _Time | None = None
     """The camera's, s; left out, the longest that motion allows."""

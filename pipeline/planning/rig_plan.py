@@ -35,6 +35,7 @@ from pipeline.errors import SettingsError
 from pipeline.models import CodeName, FloatArray, build
 from pipeline.pattern import CHANNEL_PHASES
 from pipeline.planning.expected_calibration import planned_bias_mm
+from pipeline.planning.motion_cost import longest_exposure_s, ripple_mm
 from pipeline.planning.rig_choice import FringeGeometry, RigChoice, SeenFields, angle_deg, fringe_geometry, seen_fields
 from pipeline.settings import DecodeSettings
 from pipeline.simulation import SKIN, TYPICAL_CROSSTALK, WHITE
@@ -301,7 +302,7 @@ def plan_rig(**values: Any) -> RigPlan:
     cycles = fields.overlap_mm[choice.phase_axis] / fringe.pitch_mm
     sigma, dark = (_phase_sigma_rad(choice, cycles, share) for share in (1.0, 0.5))
     speed, cycle_s = choice.speed_mm_s, choice.colour_cycle_s or 0.0
-    longest_s = DecodeSettings().smoothing_px * fields.mm_per_px / speed if speed else inf
+    longest_s = longest_exposure_s(speed, fields.mm_per_px) if speed else inf
     board = choose_board(fields.overlap_mm, fields.mm_per_px)
     plan = RigPlan(
         choice=choice,
@@ -314,7 +315,7 @@ def plan_rig(**values: Any) -> RigPlan:
         dark_phase_sigma_rad=dark,
         longest_exposure_s=longest_s,
         exposure_s=choice.exposure_s or _usual_exposure_s(longest_s, choice.colour_cycle_s),
-        colour_bias_mm=speed * cycle_s / 3 / sqrt(6),
+        colour_bias_mm=ripple_mm(speed, cycle_s),
         least_rate_hz=speed / (_CARRIED * fringe.depth_per_cycle_mm),
         board=board,
         chessboard_bias_mm=planned_bias_mm(choice, fields, board.of_kind("chessboard")),

@@ -60,18 +60,13 @@ def test_at_rest_it_does_not_matter_when_the_colours_are_shown(filming, rig):
     assert np.abs(one - other).max() < 1e-5 * one.max()
 
 
-def test_the_truth_of_a_moving_frame_is_that_of_a_still_one_when_its_row_is_exposed(filming):
+def test_the_truth_of_a_moving_frame_is_that_of_a_still_one_when_its_middle_row_is_exposed(filming):
     moving = filming("single-chip webcam 180", "rolling ball", 200.0)
     _, truth, inside = moving.exposed(2)
-    geometry, shutter = moving.photographer.geometry, moving.shutter
-    starts = shutter.row_starts(2, len(inside))
-    ball = inside & (truth.body == moving.film.judged)
-    rows = np.flatnonzero(ball.sum(axis=1) > 50)[[0, -1]]
-    places = []
-    for row in rows:
-        scene = moving.film.scene(moving.pace * (starts[row] + 0.5 * shutter.exposure_s))
-        still, here = true_at_centers(geometry, scene.packed()), ball[row]
-        assert np.abs(still.depth_mm[row] - truth.depth_mm[row])[here].max() < 0.05
-        assert np.abs(still.place[row] - truth.place[row])[here].max() < 0.02
-        places.append(scene.bodies[0].origin)
-    assert np.linalg.norm(places[1] - places[0]) > 1.0  # mm that it has moved from row to row
+    shutter, film = moving.shutter, moving.film
+    middle_s = shutter.row_starts(2, len(inside)).mean() + 0.5 * shutter.exposure_s
+    still = true_at_centers(moving.photographer.geometry, film.scene(moving.pace * middle_s).packed())
+    ball = inside & (truth.body == film.judged)
+    assert ball.sum() > 5000
+    assert np.abs(still.depth_mm - truth.depth_mm)[ball].max() < 0.05
+    assert np.abs(still.place - truth.place)[ball].max() < 0.02

@@ -144,7 +144,7 @@ def film(scene: str, pattern: str, frames: int, seed: int) -> Taken:
 def in_turns(seed: int) -> Taken:
     """Return two frames of a ball that comes nearer while colours are shown one after another, the second at rest."""
     rig, step_mm = simulated_rig(), -0.7
-    calibration, settings = known_light(rig, "matrix", None)[0], {"fields": FIELDS}
+    calibration, settings = known_light(rig, "matrix", None)[0], FIELDS
 
     def taken(steps: int, moving_mm: float) -> SimulatedFrame:
         moved = {"object_motion_mm": (0, 0, steps * step_mm), "field_motion_mm": (0, 0, moving_mm)}

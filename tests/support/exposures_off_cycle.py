@@ -16,9 +16,7 @@ from pipeline.simulation import SimulatedFrame, SimulationSettings, simulate_fra
 #: Settings for colours that take a third of the time from frame to frame each, as `field_motion_mm` simulates them.
 FIELDS = {
     "frame_s": 1.0,
-    "cycle_s": 1.0,
-    "shown_s": ((0, 1 / 3), (1 / 3, 2 / 3), (2 / 3, 1)),
-    "locked": True,
+    "fields": {"cycle_s": 1.0, "shown_s": ((0, 1 / 3), (1 / 3, 2 / 3), (2 / 3, 1)), "locked": True},
 }
 KINDS = ("even", "top bit", "rolling")
 SHARE = 1 / 3

@@ -200,7 +200,8 @@ transfer = "srgb"
 smoothing_px = 7
 projector_side = "above"
 row_s = 2e-05
-fields = { frame_s = 0.0333, cycle_s = 0.0167 }
+frame_s = 0.0333
+fields = { cycle_s = 0.0167 }
 noise = [1.5, 0.02]
 white_level = 255
 min_intensity = 3.0

@@ -18,6 +18,10 @@ with s, T and A of `phase_fit.py`, M the crosstalk, t the template, and p_j what
 change since the frame before, averaged over about a cycle, over which the error of either frame cancels. phi is that of
 a first fit, in which the motion still is. Its template is read off the frame as it is and has the mean of v tau_j, the
 lags, in it.
+
+A rolling shutter exposes row after row, and what moves is sheared by that. At the end of the chain the phase of a row
+that is exposed t frames after the middle one is carried to the middle one's time: it loses v t. Here both frames are as
+of one moment, so that v is averaged over a part of a cycle only and follows the surface.
 """
 
 from functools import cache
@@ -43,8 +47,9 @@ from tikernels.phase.surfaces import surface_at, surface_matrix
 from tikernels.phase.wrapped_phase import LEAST_NO_PHASE, has_phase
 from tikernels.raw.linearization import LEVEL_TYPES
 
-# The change is averaged on a coarser grid, px.
-_GRID_PX = 2
+# The change is averaged on a coarser grid, px; between rows over this part of the window that fields need, for curved
+# things change unevenly, and noise must not grow by carrying it.
+_GRID_PX, _ROW_WINDOW = 2, 0.25
 # It is known where this share of the window has a phase in both frames, and where it is less than a third of a cycle.
 _FILLED, _FASTEST = 0.1, 2.0 * np.pi / 3
 # What is undone is right to this fraction: surfaces speed up and turn.
@@ -98,6 +103,72 @@ class FieldMotion(NamedTuple):
         return np.asarray(np.tensordot(ahead, self.times, axes=2) / max(weight.sum(dtype=np.float64), TINY))
 
 
+class RowMotion(NamedTuple):
+    """What moved between a frame's rows."""
+
+    change: npt.NDArray[np.float32]
+    """(H, W) rad, what the phase has changed by since the frame before; NaN where it is not known."""
+    times: npt.NDArray[np.float32]
+    """(H or 1, W or 1) when a row is exposed, after the middle one, in times from frame to frame."""
+    too_fast: float
+    """Share of the pixels seen in both frames whose change is a third of a cycle or more."""
+
+    @property
+    def since_middle(self) -> npt.NDArray[np.float32]:
+        """(H, W) rad, by how much the phase changes from the middle row's exposure to a row's own; 0: not known."""
+        return np.asarray(np.nan_to_num(self.change) * self.times)
+
+
+def measure_rows(unwrapped: F32, before: F32, row: float, period_px: float, *, rows_last: bool = False) -> RowMotion:
+    """Measure by how much the phase changes while a frame's rows are exposed one after another.
+
+    Parameters
+    ----------
+    unwrapped, before : (H, W) float32
+        rad, of a frame and of the one before, as their rows were exposed; NaN where there is none.
+    row : float
+        From one row's exposure to the next one's, in times from frame to frame.
+    period_px : float
+        Camera px per cycle.
+    rows_last : bool
+        Whether the camera's rows are the image's columns.
+
+    Raises
+    ------
+    ShapeError
+        A shape or dtype is another one.
+    """
+    now = runtime.to_host(checks.read_array("unwrapped", unwrapped, (None, None), np.float32))
+    then = runtime.to_host(checks.read_array("before", before, now.shape, np.float32))
+    step = now - then
+    change, too_fast = _averaged_change(step, np.isfinite(step), _ROW_WINDOW * period_px)
+    rows = now.shape[1 if rows_last else 0]
+    times = np.expand_dims(row * (np.arange(rows) - 0.5 * (rows - 1)), 0 if rows_last else 1).astype(np.float32)
+    return RowMotion(change, times, too_fast)
+
+
+def _averaged_change(
+    step: npt.NDArray[np.float32], known: npt.NDArray[np.bool_], window_px: float
+) -> tuple[npt.NDArray[np.float32], float]:
+    """Return (H, W) rad, the mean change around each pixel, NaN where not known, and the share too fast."""
+    step = np.where(known, step, np.float32(0))
+    size = (-(-step.shape[1] // _GRID_PX), -(-step.shape[0] // _GRID_PX))
+    sigmas = (SIGMA_ALONG * window_px / _GRID_PX, SIGMA_ACROSS * window_px / _GRID_PX)
+
+    def averaged(values: npt.ArrayLike) -> npt.NDArray[np.float64]:
+        coarse = cv2.resize(np.asarray(values, np.float32), size, interpolation=cv2.INTER_AREA)
+        return np.asarray(cv2.GaussianBlur(coarse, (0, 0), sigmas[0], sigmaY=sigmas[1]), np.float64)
+
+    share = averaged(known)
+    mean = averaged(known * np.cos(step)) + 1j * averaged(known * np.sin(step))
+    change = np.angle(mean)
+    told = np.abs(change) < _FASTEST
+    filled = share > _FILLED
+    change = np.where(told & filled, change, np.nan).astype(np.float32)
+    too_fast = float(share[filled & ~told].sum()) / max(float(share[filled].sum()), TINY)
+    return np.asarray(cv2.resize(change, step.shape[::-1], interpolation=cv2.INTER_NEAREST), np.float32), too_fast
+
+
 def measure_motion(
     phase: F32,
     before: F32,
@@ -134,34 +205,18 @@ def measure_motion(
     both = (now < LEAST_NO_PHASE) & np.isfinite(then)
     then = np.where(both, then, np.float32(0))
     step = np.where(both, now - then, np.float32(0))
-    size = (-(-now.shape[1] // _GRID_PX), -(-now.shape[0] // _GRID_PX))
-    sigmas = (SIGMA_ALONG * period_px / _GRID_PX, SIGMA_ACROSS * period_px / _GRID_PX)
-
-    def averaged(values: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        coarse = cv2.resize(np.asarray(values, np.float32), size, interpolation=cv2.INTER_AREA)
-        return np.asarray(cv2.GaussianBlur(coarse, (0, 0), sigmas[0], sigmaY=sigmas[1]), np.float64)
-
-    share = averaged(both)
-    mean = averaged(both * np.cos(step)) + 1j * averaged(both * np.sin(step))
-    change = np.angle(mean)
-    told = np.abs(change) < _FASTEST
-    filled = share > _FILLED
-    change = np.where(told & filled, change, np.nan).astype(np.float32)
-    everywhere = np.asarray(cv2.resize(change, now.shape[::-1], interpolation=cv2.INTER_NEAREST), np.float32)
-    too_fast = float(share[filled & ~told].sum()) / max(float(share[filled].sum()), TINY)
+    change, too_fast = _averaged_change(step, both, period_px)
     rows = 1 if fields.row == 0 else now.shape[1 if rows_last else 0]
     times = np.expand_dims(fields.times(rows), 1 if rows_last else 2)
     expected = fields.expect(shares)
     if len(expected) > 1:
         unwrapped = np.where(both, then + step - 2 * np.pi * np.rint(step / (2 * np.pi)), 0).astype(np.float32)
-        likelihood = _log_likelihood(unwrapped, np.where(both, everywhere, np.nan), times, period_px)
+        likelihood = _log_likelihood(unwrapped, np.where(both, change, np.nan), times, period_px)
         expected *= np.exp(likelihood - likelihood.max())
         expected /= expected.sum()
     mean_times = np.tensordot(expected, times, axes=1)
     spread = np.tensordot(expected, (times - mean_times) ** 2, axes=1).mean(axis=-1)
-    return FieldMotion(
-        everywhere, mean_times.astype(np.float32), np.sqrt(spread).astype(np.float32), expected, too_fast
-    )
+    return FieldMotion(change, mean_times.astype(np.float32), np.sqrt(spread).astype(np.float32), expected, too_fast)
 
 
 def _summed(values: npt.NDArray[np.float32], shape: tuple[int, ...]) -> npt.NDArray[np.float64]:
@@ -335,13 +390,13 @@ def doubt_motion_kernel(
             out_misfit[y, x] = doubted(out_misfit[y, x], doubt, precision[y, x])
 
 
-def doubt_motion(motion: FieldMotion, precision: F32, out: F32) -> None:
+def doubt_motion(motion: FieldMotion | RowMotion, precision: F32, out: F32) -> None:
     """Add to the phases' misfit what is unsure of a motion that was undone, or is left for want of times.
 
     Parameters
     ----------
-    motion : FieldMotion
-        See `measure_motion`.
+    motion : FieldMotion or RowMotion
+        See `measure_motion` and `measure_rows`.
     precision : (H, W) float32
         1 / rad^2, one over the phase's variance.
     out : (H, W) float32
@@ -356,5 +411,8 @@ def doubt_motion(motion: FieldMotion, precision: F32, out: F32) -> None:
     shape = (int(precision.shape[0]), int(precision.shape[1]))
     change = checks.read_array("change", motion.change, shape, np.float32)
     out = checks.out_buffer("misfit", out, shape, np.float32)
-    doubts = np.hypot(_DOUBT * motion.times.std(axis=-1), motion.unsure)
+    if isinstance(motion, RowMotion):
+        doubts = np.abs(_DOUBT * motion.times)
+    else:
+        doubts = np.hypot(_DOUBT * motion.times.std(axis=-1), motion.unsure)
     doubt_motion_kernel(change, doubts, precision, out)

@@ -40,7 +40,8 @@ RAYS = 16
 _STEP_MM = 1.0
 # Times within an exposure at which it is looked which primary is on: as often in each of three fields.
 _LOOKS = 96
-# Inside a surface is what is further than this from its edges, besides half the way that the fastest things go.
+# Inside a surface is what is further than this from its edges, besides half the way that the fastest things go while
+# the frame's rows are exposed.
 _RIM_PX, _EDGE_MM = 4.0, 4.0
 _LIT_LEVELS = 20.0  # of 255, mean of the channels
 # Seconds of the films' own time at which the exposure is chosen, so that nothing clips that comes near.
@@ -63,8 +64,8 @@ class Shutter:
         fields: dict[str, object] | None = None
         if self.cycle_s is not None:
             thirds = [(k * self.cycle_s / 3, (k + 1) * self.cycle_s / 3) for k in range(3)]
-            fields = {"frame_s": self.frame_s, "cycle_s": self.cycle_s, "shown_s": thirds}
-        return DecodeSettings.of(stripes=stripes, row_s=self.readout_s / height, fields=fields)
+            fields = {"cycle_s": self.cycle_s, "shown_s": thirds}
+        return DecodeSettings.of(stripes=stripes, frame_s=self.frame_s, row_s=self.readout_s / height, fields=fields)
 
     def row_starts(self, number: int, height: int) -> F64:
         """Return when the rows of a frame begin to be exposed, s."""
@@ -99,7 +100,7 @@ class Film:
 
 @dataclass(frozen=True)
 class Drawn:
-    """A frame and its truth at the middle of each row's exposure, which is the mean time of the three colours, too."""
+    """A frame and its truth at the middle of the middle row's exposure."""
 
     levels: npt.NDArray[np.uint8]  # (H, W), the sensor's mosaic
     place: F32  # (H, W) projector px along the phase
@@ -107,7 +108,7 @@ class Drawn:
     mm_per_rad: F32  # (H, W) by how much the depth changes with the phase
     body: npt.NDArray[np.uint8]  # (H, W)
     lit: Mask  # (H, W) lit, bright enough and not clipped
-    inside: Mask  # (H, W) further from every edge than things move in an exposure
+    inside: Mask  # (H, W) further from every edge than things move in a frame
 
 
 # --- rigs ----------------------------------------------------------------------------------------------------------
@@ -297,7 +298,8 @@ class Filming:
         self.calibration = calibration_for(photographer.calibration, PATTERN)
         rig, geometry = photographer.rig, photographer.geometry
         self.mm_per_px = rig.distance_mm / geometry.camera.matrix[0, 0]
-        self.rim_px = _RIM_PX + 0.5 * self.pace * film.fastest_mm_s * shutter.exposure_s / self.mm_per_px
+        seen_s = shutter.exposure_s + shutter.readout_s
+        self.rim_px = _RIM_PX + 0.5 * self.pace * film.fastest_mm_s * seen_s / self.mm_per_px
 
     @cached_property
     def _arriving(self) -> F32:
@@ -328,7 +330,8 @@ class Filming:
         starts = shutter.row_starts(number, height)
         instants = self.instants(starts)
         weights = shutter.weights(starts, instants)
-        place = np.interp(starts + 0.5 * shutter.exposure_s, instants, np.arange(len(instants)))
+        middle = np.full(height, starts.mean() + 0.5 * shutter.exposure_s)
+        place = np.interp(middle, instants, np.arange(len(instants)))
         before = np.minimum(place.astype(int), max(len(instants) - 2, 0))
         light, pairs = np.zeros((height, width, 3), np.float32), photographer.pairs
         sides = [{key: np.zeros((height, width), kind) for key, kind in _TRUTH.items()} for _ in range(2)]

@@ -8,9 +8,9 @@ undone, the settings are the default ones but for what a rig file says of colour
 before as `previous`. Figures:
 
 - RMS, 99.9 % and bias of the depth of what moves (of the head where a hand passes), mm, inside its surfaces: further
-  from every edge than 4 px and what the fastest things move in half an exposure. Of pixels that are absolute and right;
-  "all" are all decoded ones, whose RMS without whole cycles is that of the phase. The truth is that of the middle of
-  each row's exposure.
+  from every edge than 4 px and half of what the fastest things move while all rows are exposed. Of pixels that are
+  absolute and right; "all" are all decoded ones, whose RMS without whole cycles is that of the phase. The truth is that
+  of the middle of the middle row's exposure.
 - right: share of the lit pixels there that are absolute and right; covered: share of all lit pixels that are decoded.
 - noise/sigma: of what stands still, standard deviation over time over what `point_sigma` says, both along the ray.
 - flicker: frames with 20 connected pixels or more inside a surface that are absolute and on a wrong cycle.

@@ -63,7 +63,7 @@ def decoded(image, calibration=None, previous=None, **settings):
 
 
 #: Settings of colours one after another, in an unknown order, before a rolling shutter.
-FREE = {"fields": {"frame_s": 1 / 30, "cycle_s": 1 / 60}, "row_s": 0.02 / 240}
+FREE = {"frame_s": 1 / 30, "fields": {"cycle_s": 1 / 60}, "row_s": 0.02 / 240}
 
 
 def rest():
@@ -219,8 +219,8 @@ CAUSES = {
     "other crosstalk": (lambda: by_crosstalk(np.eye(3), gamma=2.0), lambda: by_crosstalk(CROSSTALK, gamma=2.0)),
     "odd colours": (lambda: by_crosstalk(np.eye(3)), lambda: by_crosstalk(CROSSTALK)),
     "too fast": (
-        lambda: decoded(photographed(scene="plane"), rig(), photographed(scene="bust"), fields=FIELDS),
-        lambda: decoded(photographed(seed=1), rig(), photographed(), fields=FIELDS),
+        lambda: decoded(photographed(scene="plane"), rig(), photographed(scene="bust"), **FIELDS),
+        lambda: decoded(photographed(seed=1), rig(), photographed(), **FIELDS),
     ),
     "fields unknown": (
         lambda: decoded(photographed(scene="bust", object_motion_mm=(0, 0, -3)), rig(), rest(), **FREE),

@@ -1,6 +1,7 @@
 """One frame through the decoder: accuracy against exact truth, inputs of every kind, and what it refuses."""
 
 import threading
+from functools import cache
 
 import cv2
 import numpy as np
@@ -14,7 +15,7 @@ from pipeline import Calibration, Decoder, DecodeSettings, DecodeWarning
 from pipeline.calibration import ColorShift
 from pipeline.errors import CalibrationError, FootageError, SettingsError
 from pipeline.output.report import measure_against_truth
-from pipeline.simulation import SKIN, WHITE, SimulationSettings, simulate_frame, simulated_rig
+from pipeline.simulation import SKIN, WHITE, SimulatedFrame, SimulationSettings, simulate_frame, simulated_rig
 from tikernels.errors import DeviceNotReady, ShapeError
 from tikernels.scene.scene_shapes import SHAPES
 from tikernels.traffic import traffic
@@ -393,8 +394,8 @@ def test_motion_between_colours_in_turns_is_undone():
     moves = np.abs(rest.phase - photograph(0.0).phase) > 0.2
     ball = cv2.erode(moves.astype(np.uint8), np.ones((15, 15))) > 0
     errors = []
-    for fields in (None, FIELDS):
-        decoder, seen = Decoder(DecodeSettings(fields=fields), rig, arch="cpu"), None
+    for fields in ({}, FIELDS):
+        decoder, seen = Decoder(DecodeSettings(**fields), rig, arch="cpu"), None
         for image in film:
             seen = decoder.decode(image, previous=seen)
         error = np.angle(np.exp(1j * (seen.wrapped_phase - truth.wrapped_phase)))[ball & seen.mask & truth.mask]
@@ -416,7 +417,7 @@ def test_after_a_dropped_frame_motion_is_that_of_two():
     ball = cv2.erode(ball.astype(np.uint8), np.ones((15, 15))) > 0
     errors = []
     for elapsed in (1.0, 2.0):
-        decoder = Decoder(DecodeSettings(fields=FIELDS), rig, arch="cpu")
+        decoder = Decoder(DecodeSettings(**FIELDS), rig, arch="cpu")
         before = decoder.decode(photograph(0.0, step).image)
         seen = decoder.decode(photograph(6 * step, step).image, previous=before, elapsed=elapsed)
         error = np.angle(np.exp(1j * (seen.wrapped_phase - rest.phase)))[ball & seen.mask]
@@ -425,6 +426,43 @@ def test_after_a_dropped_frame_motion_is_that_of_two():
     assert errors[1] < 0.3 * errors[0]
     with pytest.raises(SettingsError, match="elapsed is 0"):
         decoder.decode(rest.image, previous=before, elapsed=0)
+
+
+@cache
+def approaching(stripes: str) -> list[SimulatedFrame]:
+    """Return a bust that comes nearer by 500 mm/s, ten times per frame of 1/60 s."""
+    places = [(0, 0, 10 - step / 1.2) for step in range(40)]
+    still = {"stripes": stripes, "noise_levels": 0.0, "crosstalk_matrix": np.eye(3)}
+    return [simulated(object_motion_mm=place, **still)[0] for place in places]
+
+
+@pytest.mark.parametrize("stripes", ["horizontal", "vertical"])
+@pytest.mark.parametrize("fields", [None, FIELDS["fields"]], ids=["at once", "in turn"])
+def test_rows_of_a_rolling_shutter_are_carried_to_the_time_of_the_middle_one(stripes, fields):
+    """The last row is exposed 14 ms after the first, 7 mm nearer; between instants light changes linearly."""
+    at, row_s = approaching(stripes), 0.84 / (SIZE[1] - 1)  # frames
+    settings = DecodeSettings(stripes=stripes, frame_s=1.0, row_s=row_s, fields=fields)
+    rows = row_s * (np.arange(SIZE[1]) - (SIZE[1] - 1) / 2)[:, None]
+    seen_at = rows + (0 if settings.fields is None else settings.fields.in_cycles(1.0, row_s).times(SIZE[1])[0])
+    light = np.stack([frame.image for frame in at]).astype(np.float32) / 255
+    film = []
+    for number in (1, 2, 3):
+        place = 10 * (number + np.broadcast_to(seen_at, (SIZE[1], 3)))
+        film.append(np.zeros(light.shape[1:], np.float32))
+        for instant, image in enumerate(light):
+            film[-1] += np.clip(1 - np.abs(place - instant), 0, None).astype(np.float32)[:, None] * image
+    change = 10 * (at[31].phase - at[30].phase)
+    bust = cv2.erode((np.abs(change) > 0.5).astype(np.uint8), np.ones((15, 15))) > 0
+    left = []
+    for known in ({}, {"frame_s": None, "fields": None}):
+        decoder, seen = Decoder(settings.model_copy(update=known), at[0].rig, arch="cpu"), None
+        for image in film:
+            seen = decoder.decode(image, previous=seen)
+        inside, skew = bust & seen.mask, change * rows
+        error = np.angle(np.exp(1j * (seen.wrapped_phase - at[30].phase)))[inside]
+        left.append((error * skew[inside]).sum() / (skew[inside] ** 2).sum())
+    assert abs(left[0]) < 0.1
+    assert left[1] > 0.9
 
 
 @pytest.mark.parametrize("leak, bound", [(0.0, 0.004), (0.05, 0.08)])

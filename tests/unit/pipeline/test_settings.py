@@ -28,17 +28,18 @@ def test_settings_from_toml(tmp_path):
         ("white_level = 1e-6", "white_level: must be a number from 0.0009765625 to 16777216, got 1e-06"),
         ("noise = [1e300, 0.0]", "noise.0: must be a number from 0 to 16777216, got 1e\\+300"),
         ("min_modulation = 1e39", "min_modulation"),
-        ("fields = {frame_s = 1, cycle_s = 1e9}", "fields.cycle_s: must be a number above 0 and at most 3600"),
-        ("fields = {frame_s = 0.01, cycle_s = 0.016}", "fields: a colour cycle of 0.016 s is longer than a frame"),
+        ("fields = {cycle_s = 1e9}", "fields.cycle_s: must be a number above 0 and at most 3600"),
+        ("frame_s = 0.01\nfields = {cycle_s = 0.016}", "fields: a colour cycle of 0.016 s is longer than a frame"),
         (
-            "fields = {frame_s = 1, cycle_s = 1, shown_s = [[0, 0.4], [0.3, 0.6], [0.6, 1]]}",
+            "fields = {cycle_s = 1, shown_s = [[0, 0.4], [0.3, 0.6], [0.6, 1]]}",
             "fields: two colours are on at the same time: a white, yellow or cyan segment",
         ),
         (
-            "fields = {frame_s = 1, cycle_s = 0.5, shown_s = [[0, 0.3], [0.3, 0.6], [0.7, 1]]}",
+            "fields = {cycle_s = 0.5, shown_s = [[0, 0.3], [0.3, 0.6], [0.7, 1]]}",
             "fields: each colour must go on before it goes off, and all within 0.5 s",
         ),
-        ("fields = {frame_s = 1, cycle_s = 0.5, locked = true}", "fields: locked needs shown_s"),
+        ("fields = {cycle_s = 0.5, locked = true}", "fields: locked needs shown_s"),
+        ("fields = {cycle_s = 0.5}", "fields need frame_s"),
         ("row_s = -1", "row_s: must be a number from 0 to 3600"),
         ("a = [", "not what it should be"),
     ],
@@ -52,8 +53,8 @@ def test_wrong_settings_are_refused_by_their_key(tmp_path, text, message):
 
 def test_fields_in_cycles_and_frames():
     shown_s = ((0, 0.1), (0.1, 0.2), (0.2, 0.3))
-    told = DecodeSettings.of(fields={"frame_s": 0.5, "cycle_s": 0.3, "shown_s": shown_s, "locked": True}).fields
-    fields = told.in_cycles(0.003)
+    told = DecodeSettings.of(frame_s=0.5, fields={"cycle_s": 0.3, "shown_s": shown_s, "locked": True}).fields
+    fields = told.in_cycles(0.5, 0.003)
     assert (fields.cycle, fields.row, fields.start) == (pytest.approx(0.6), pytest.approx(0.01), 0.0)
     np.testing.assert_allclose(fields.shown, [[0, 1 / 3], [1 / 3, 2 / 3], [2 / 3, 1]])
-    assert told.model_copy(update={"locked": False}).in_cycles(0.003).start is None
+    assert told.model_copy(update={"locked": False}).in_cycles(0.5, 0.003).start is None

@@ -299,6 +299,6 @@ def test_colours_one_after_another_are_said_to_whoever_decodes(tmp_path):
     )
     told = DecodeSettings.read(tmp_path / "told" / "settings.toml")
     assert told.row_s == 1e-5
-    assert (told.fields.frame_s, told.fields.cycle_s) == (rig.timing.period_s, 0.001)
+    assert (told.frame_s, told.fields.cycle_s) == (rig.timing.period_s, 0.001)
     assert told.fields.shown_s.tolist() == [list(fields[f"{name}_s"]) for name in ("red", "green", "blue")]
     assert not told.fields.locked

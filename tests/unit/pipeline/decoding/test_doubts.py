@@ -7,7 +7,7 @@ from pipeline.decoding.doubts import few_pixels_doubt, fringe_doubt, light_doubt
 from pipeline.decoding.frame_reader import LinearFrame
 from pipeline.decoding.surface_search import NoModelFits
 from tikernels.phase.color_fields import ColorFields
-from tikernels.phase.field_motion import FieldMotion
+from tikernels.phase.field_motion import FieldMotion, RowMotion
 from tikernels.phase.frame_statistics import FrameLevels
 
 
@@ -113,8 +113,16 @@ def test_motion_between_colours(change, unsure, too_fast, keys):
     times = np.array([[[-0.1, 0.0, 0.1]]], np.float32)
     changes, unsures = np.full((8, 8), change, np.float32), np.full((1, 1), unsure, np.float32)
     motion = FieldMotion(changes, times, unsures, np.ones(64) / 64, too_fast)
-    doubts = motion_doubts(motion, ColorFields(0.5, shown=np.array([[0, 1], [1, 2], [2, 3]]) / 3), None)
+    doubts = motion_doubts(motion, None, ColorFields(0.5, shown=np.array([[0, 1], [1, 2], [2, 3]]) / 3), None)
     assert {doubt.key for doubt in doubts} == keys
+
+
+@pytest.mark.parametrize("too_fast", [0.0, 0.2])
+def test_motion_between_rows(too_fast):
+    motion = RowMotion(np.zeros((8, 8), np.float32), np.zeros((8, 1), np.float32), too_fast)
+    doubts = [str(doubt) for doubt in motion_doubts(None, motion, None, None)]
+    assert len(doubts) == (too_fast > 0)
+    assert all("20% of the surface" in doubt and "its rows, one after another" in doubt for doubt in doubts)
 
 
 def test_what_it_costs_is_said_in_mm(cpu):

@@ -8,12 +8,13 @@ import pytest
 from support.numbered_frames import record
 from support.video_files import encode
 
-from pipeline.diagnosis.footage_evidence import FootageEvidence, FrameQuality, KeptFrame
+from pipeline.diagnosis.footage_evidence import FootageEvidence, FrameQuality, KeptFrame, Scale
 from pipeline.diagnosis.footage_inspection import (
     ContainerFacts,
     _missing,
     container_facts,
     container_findings,
+    cost_findings,
     frame_findings,
     fringe_findings,
     light_findings,
@@ -161,3 +162,23 @@ def test_light_that_cannot_be_told_is_not_called_fine():
 @pytest.mark.parametrize("motion_rad, grade", [(0.03, "fine"), (1.0, "costs"), (2.2, "spoils")])
 def test_motion_of_a_third_of_a_cycle_spoils(motion_rad, grade):
     assert graded(time_findings(seen(motion_rad=[motion_rad]), GOOD))["motion"] == grade
+
+
+def test_motion_costs_mm_per_speed_where_rows_and_colours_come_in_turn():
+    """At the speed that is seen, or at 100 mm/s; the exposure needs a scale."""
+    timed = {"frame_s": 1 / 30, "row_s": 2e-5, "fields": {"cycle_s": 1 / 60}}
+    seen = FootageEvidence(DecodeSettings.of(**timed), motion_rad=[0.5])
+
+    def costs(evidence: FootageEvidence, scale: Scale | None) -> dict[str, str]:
+        return {finding.topic: finding.found for finding in cost_findings(evidence, LOSSLESS, GOOD, scale, 1001)}
+
+    assert costs(seen, None) == {
+        "colours in turn": "0.23 mm RMS at most, a ripple at 100 mm/s: 0.0023 mm per mm/s",
+        "rows in turn": "1 mm in the first and the last row at 100 mm/s: 0.01 mm per mm/s",
+    }
+    found = costs(seen, Scale(0.4, 7.0))  # 0.499 rad of 7 mm, 30 times a second
+    assert found["longest exposure"] == "27 ms at 105 mm/s motion then takes as much detail as smoothing"
+    assert found["rows in turn"].startswith("1 mm in the first and the last row at 105 mm/s")
+    still = FootageEvidence(DecodeSettings())
+    assert costs(still, None) == {}
+    assert costs(still, Scale(0.4, 7.0))["longest exposure"].startswith("28 ms at 100 mm/s")

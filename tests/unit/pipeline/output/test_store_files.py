@@ -158,11 +158,14 @@ def test_xarray_labels_everything(tmp_path):
         assert result.attrs["title"] and str(tmp_path) not in str(result.attrs)
 
 
-def test_rows_of_a_rolling_shutter_have_times(tmp_path):
-    make(tmp_path / "result.zarr", also={"settings": {"row_s": 2e-5}})
+@pytest.mark.parametrize("frame_s", [None, 0.03])
+def test_rows_of_a_rolling_shutter_have_times(tmp_path, frame_s):
+    """All that of the middle one where motion is carried to it."""
+    make(tmp_path / "result.zarr", also={"settings": {"row_s": 2e-5, "frame_s": frame_s}})
     with xarray.open_zarr(tmp_path / "result.zarr", consolidated=False) as result:
         assert result.points.coords["row_time"].dims == ("y",)
-        np.testing.assert_allclose(result.row_time, 2e-5 * np.arange(HEIGHT))
+        rows = np.arange(HEIGHT) if frame_s is None else np.full(HEIGHT, (HEIGHT - 1) / 2)
+        np.testing.assert_allclose(result.row_time, 2e-5 * rows)
     StoredResult(tmp_path / "result.zarr")
 
 

@@ -13,7 +13,7 @@ from tikernels.phase.color_balance import Gains
 from tikernels.phase.color_fields import ColorFields
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.equalization import correction_table
-from tikernels.phase.field_motion import FieldMotion, doubt_motion, hold_still, measure_motion
+from tikernels.phase.field_motion import FieldMotion, doubt_motion, hold_still, measure_motion, measure_rows
 from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.phase_fit import fit_phase
 from tikernels.phase.surfaces import Surfaces
@@ -193,6 +193,30 @@ def test_what_is_too_fast_or_new_is_not_known(cpu):
     assert 0.25 < motion.too_fast < 0.5
 
 
+@pytest.mark.parametrize("rows_last", [False, True])
+def test_rows_change_by_the_time_from_the_middle_one_to_their_own(cpu, rows_last):
+    """The phase grows by 0.4 rad a frame, and 0.004 more from column to column; a third of the frame is new."""
+    now = reference.ramp(*SHAPE, PERIOD_PX)
+    change = 0.4 + 0.004 * np.arange(SHAPE[1])
+    then = now - change + 2 * np.pi  # of another order
+    then[:60] = np.nan
+    now, then = (phase.astype(np.float32) for phase in ((now.T, then.T) if rows_last else (now, then)))
+    motion = measure_rows(now, then, 0.003, PERIOD_PX, rows_last=rows_last)
+    moved = motion.since_middle.T if rows_last else motion.since_middle
+    expected = change * 0.003 * (np.arange(SHAPE[0]) - (SHAPE[0] - 1) / 2)[:, None]
+    np.testing.assert_allclose(moved[60:, 10:-10], expected[60:, 10:-10], atol=1e-3)
+    assert not moved[:40].any()
+    assert motion.too_fast == 0
+    misfit = np.zeros(now.shape, np.float32)
+    doubt_motion(motion, np.full(now.shape, 100, np.float32), misfit)
+    doubt = misfit.T if rows_last else misfit
+    np.testing.assert_allclose(doubt[60:, 10:-10], 100 * (0.2 * expected[60:, 10:-10]) ** 2, atol=2e-3)
+    then -= np.float32(2.0)  # 2.4 rad a frame and more
+    fast = measure_rows(now, then, 0.003, PERIOD_PX, rows_last=rows_last)
+    assert fast.too_fast > 0.95
+    assert not fast.since_middle.any()
+
+
 def test_other_shapes_are_refused(cpu):
     crosstalk = Crosstalk.of(MATRIX)
     image, _ = photograph(0.0)
@@ -200,6 +224,8 @@ def test_other_shapes_are_refused(cpu):
     with pytest.raises(tikernels.ShapeError, match="before has shape"):
         measure_motion(fit.phase, np.zeros((4, 4), np.float32), FIELDS, None, PERIOD_PX)
     motion = measure_motion(fit.phase, runtime.to_host(fit.phase), FIELDS, None, PERIOD_PX)
+    with pytest.raises(tikernels.ShapeError, match="before has shape"):
+        measure_rows(fit.phase, np.zeros((4, 4), np.float32), 0.1, PERIOD_PX)
     with pytest.raises(tikernels.ShapeError, match="image has shape"):
         hold_still(image[:-1], fit, motion, model, crosstalk)
     with pytest.raises(tikernels.ShapeError, match="misfit has shape"):
