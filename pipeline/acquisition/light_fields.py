@@ -45,8 +45,9 @@ _FULL = 97
 _LOOSE = 0.5
 # RMS residual that is left where lamp or wheel take a fifth of a field to change colours.
 _MISFIT = 0.06
-# White bars have more light by this part where there is a white segment; tone curves leave some hundredths.
-_WHITE = 0.1
+# White bars have more light by this part where there is a white segment: a small one, of 60 degrees, makes it 0.6. Tone
+# curves that are not known leave 0.16.
+_WHITE = 0.25
 # Standard deviations that are significant; edges are known where it is less than this part of the cycle.
 _SIGMAS, _SHARP = 3.0, 0.02
 # Parameters: frequency, rows, then when each of three colours goes on, how long it is on, and its brightness.
