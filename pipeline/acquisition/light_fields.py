@@ -45,6 +45,8 @@ _FULL = 97
 _LOOSE = 0.5
 # RMS residual that is left where lamp or wheel take a fifth of a field to change colours.
 _MISFIT = 0.06
+# Black that is clipped at the least of 256 levels hides this part of a colour's light.
+_LEVEL = 1 / 255
 # White bars have more light by this part where there is a white segment: a small one, of 60 degrees, makes it 0.6. Tone
 # curves that are not known leave 0.16.
 _WHITE = 0.25
@@ -213,15 +215,16 @@ def fit_fields(
     sigma = np.sqrt(np.einsum("...i,ij,...j", from_red, covariance, from_red))
     on = (x[_ON] - x[2]) % 1
     period_s /= x[0]
-    # What is left of a ramp's light moves its middle by that part of it, if noise does not average out.
+    # A part that is missing of a ramp's light moves its middle by as much of it.
     misfit, height = float(np.sqrt(noise)), float(np.ptp(rows))
+    bent_s = (misfit + _LEVEL) * exposure_s
     row_s = float(period_s * x[_ROW] * x[0])
-    row_sigma_s = float(np.hypot(period_s * np.sqrt(covariance[_ROW, _ROW]), misfit * exposure_s / height))
+    row_sigma_s = float(np.hypot(period_s * np.sqrt(covariance[_ROW, _ROW]), bent_s / height))
     rolls = abs(row_s) > max(_SIGMAS * row_sigma_s, _NONE * period_s / height)
     return MeasuredFields(
         period_s=float(period_s),
         shown_s=period_s * np.stack([on, on + x[_WIDTH]], axis=1),
-        shown_sigma_s=float(np.hypot(period_s * sigma.max(), misfit * exposure_s)),
+        shown_sigma_s=float(np.hypot(period_s * sigma.max(), bent_s)),
         row_s=row_s if rolls else 0.0,
         row_sigma_s=row_sigma_s,
         misfit=misfit,
