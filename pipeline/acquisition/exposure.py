@@ -5,13 +5,14 @@ pixels and the frame rate allow. Gain makes up for what is missing.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import log10
 
 import numpy as np
 
 from pipeline.acquisition.camera_effects import CameraEffects
 from pipeline.acquisition.light_cycle import FlashMeter, LightCycle
+from pipeline.acquisition.light_fields import MeasuredFields, measure_fields
 from pipeline.acquisition.rig_faults import (
     MAX_FLICKER,
     MAX_SATURATED,
@@ -58,6 +59,7 @@ class ExposureReport:
     cycle: LightCycle | None  # None: the light is constant
     transfer: str  # the camera's tone curve, where it is a named one
     contrast: FloatArray | None  # (3,) of the working fringes; None: not measured
+    fields: MeasuredFields | str | None = None  # times of colours and rows, or why they are not known; None: no cycle
 
 
 class ExposureFinder:
@@ -91,6 +93,7 @@ class ExposureFinder:
         self._fringe = period_px, axis
         self._tell = tell
         self._faults: dict[str, RigFault] = {}
+        self._fields: MeasuredFields | str | None = None
 
     def find(self) -> ExposureReport:
         """Measure the rig as it is set, set its camera, and test it; the camera stays as it is set.
@@ -112,7 +115,9 @@ class ExposureFinder:
         meter, cycle = self._measure_cycle(curve, light, automatic=automatic)
         if automatic:
             self._exposure_s = self._exposure_s if cycle is None else cycle.nearest_s(self._exposure_s)
+            self._fields = None if cycle is None else "the camera sets its exposure itself"
         else:
+            cycle = self._measure_fields(curve, light, cycle)
             self._set_brightness(curve, light, cycle)
         self._check_room(meter.variation(self._exposure_s, _STARTS).room * self._bars_share)
         return self._test_camera(cycle)
@@ -127,7 +132,7 @@ class ExposureFinder:
         self, level: float, cycle: LightCycle | None, transfer: str, contrast: FloatArray | None
     ) -> ExposureReport:
         faults = tuple(sorted(self._faults.values(), key=lambda fault: -fault.cost_rad))
-        return ExposureReport(faults, self._exposure_s, self._gain_db, level, cycle, transfer, contrast)
+        return ExposureReport(faults, self._exposure_s, self._gain_db, level, cycle, transfer, contrast, self._fields)
 
     def _white_code(self) -> float:
         """Return the brightest code that does not saturate the camera."""
@@ -188,6 +193,17 @@ class ExposureFinder:
             words = f"the exposure {what}, so white varies by {present.sigma:.1%} from frame to frame: set it as below"
             self._note(RigFault("exposure off the cycle", words, RAD_PER_PART * present.sigma))
         return meter, cycle
+
+    def _measure_fields(self, curve: ToneCurve, light: float, cycle: LightCycle | None) -> LightCycle | None:
+        """Measure the times of colours and rows, if the light repeats; return the cycle, known better by them."""
+        if cycle is None:
+            return None
+        self._tell("measuring when each colour is on")
+        light_per_s = light / self._exposure_s / 10 ** (self._gain_db / 20)
+        self._fields = measure_fields(self._probe, curve.to_light, cycle.period_s, light_per_s)
+        if isinstance(self._fields, str) or not self._fields.is_periodic:
+            return cycle
+        return replace(cycle, period_s=self._fields.period_s)
 
     def _set_brightness(self, curve: ToneCurve, light: float, cycle: LightCycle | None) -> None:
         """Set exposure and gain so that the brightest lit pixels have the target level."""

@@ -111,8 +111,11 @@ class FlashMeter:
         self._studio.set_camera(exposure_s, gain_db)
         frames = probe.frames(self._bars, 2)
         self._longest_s = self._unsaturated_s(probe)
-        light = np.mean(frames, axis=0).mean(axis=-1)
-        low, high = np.percentile(light[probe.lit], (1, 99))
+        light = np.where(probe.lit, np.mean(frames, axis=0).mean(axis=-1), np.nan)
+        # Row by row: those of a rolling shutter see other light of the room.
+        is_lit = probe.lit.any(axis=1)
+        low, high = np.zeros((2, len(light), 1))
+        low[is_lit], high[is_lit] = np.nanpercentile(light[is_lit], (1, 99), axis=1)[..., None]
         bright = probe.lit & (light > low + _IN_BAR * (high - low))
         dark = probe.lit & (light < low + _BETWEEN * (high - low))
         rows = np.cumsum(bright.sum(axis=1))

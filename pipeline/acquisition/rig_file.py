@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from difflib import unified_diff
 from pathlib import Path
+from typing import Any
 
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
@@ -13,7 +14,7 @@ from pipeline.files import explain, write_atomically
 from pipeline.limits import TEXT_BYTES, read_plain, read_text
 
 
-def with_values(text: str, values: Mapping[str, float]) -> str:
+def with_values(text: str, values: Mapping[str, float | list[float]]) -> str:
     """Return a TOML text with other values, everything else as it is.
 
     Parameters
@@ -21,7 +22,7 @@ def with_values(text: str, values: Mapping[str, float]) -> str:
     text : str
         The file's.
     values : mapping
-        Numbers by section and key, as ``camera.exposure_s``; a missing one is added to its section.
+        Numbers, or lists of them, by section and key, as ``projector.fields.red_s``; what is missing is added.
 
     Raises
     ------
@@ -36,20 +37,23 @@ def with_values(text: str, values: Mapping[str, float]) -> str:
     try:
         document = tomlkit.parse(text)
         for name, value in values.items():
-            section, key = name.split(".")
-            if section not in document:
-                document.add(section, tomlkit.table())
-            table = document[section]
-            if not isinstance(table, Mapping):
-                raise RigError(f"{section} is not a section: write [{section}]")
+            *sections, key = name.split(".")
+            table: Any = document
+            for section in sections:
+                if section not in table:
+                    is_inline = isinstance(table, tomlkit.items.InlineTable)
+                    table.add(section, tomlkit.inline_table() if is_inline else tomlkit.table())
+                table = table[section]
+                if not isinstance(table, Mapping):
+                    raise RigError(f"{section} is not a section: write [{section}]")
             if table.get(key) != value:
-                document[section][key] = value
+                table[key] = value
     except TOMLKitError as error:
         raise RigError(f"it is no TOML: {error}") from None
     return tomlkit.dumps(document)
 
 
-def change_file(path: Path, values: Mapping[str, float]) -> tuple[Path | None, list[str]]:
+def change_file(path: Path, values: Mapping[str, float | list[float]]) -> tuple[Path | None, list[str]]:
     """Write other values into a file, and keep the old one beside it.
 
     Parameters

@@ -57,6 +57,9 @@ class StudioFaults:
     swapped: bool = False  # the camera sends B, G, R
     colour_cycle_s: float | None = None  # the projector's light repeats after this time; None: it is constant
     at_once: bool = False  # in a cycle all colours are lit together, and then none is; else one after another
+    shown: FloatArray | None = None  # (3, 2) cycles, when red, green and blue go on and off; None: a third each
+    row_s: float = 0.0  # from one row's exposure to the next one's
+    jitter_s: float = 0.0  # standard deviation of the times that the camera tells
     focus_px: float = 0.0  # sigma of the projector's blur, of its own px
     light: float = 1.0  # part of the projector's light that the exposure at the start sees
     room: float = 0.0  # room light, of full scale at the exposure at the start; it flickers at 100 Hz
@@ -176,6 +179,7 @@ class SimulatedStudio:
         self._camera = SimulatedCamera(faults.camera, light.noise, self._rng)
         self._first_exposure_s, self._gain, self._phase_s = exposure_s, 1.0, 0.0
         self._time_s = 0.0
+        self._starts_s: list[float] = []  # of the last exposures
         self._sent: list[tuple[float, npt.NDArray[np.uint8]]] = []  # when each picture comes on, newest last
         self._pose = ""
         self._way: tuple[FloatArray, FloatArray, float] = (_START, _START, -_MOVE_S)  # from, to, since
@@ -196,6 +200,11 @@ class SimulatedStudio:
     def sensor(self) -> SensorPart | None:
         """The part of the sensor; see `Studio`."""
         return None
+
+    @property
+    def taken_s(self) -> list[float]:
+        """When the last frames were exposed; see `Studio`."""
+        return [start_s + self._faults.jitter_s * self._rng.standard_normal() for start_s in self._starts_s]
 
     @property
     def is_mosaic(self) -> bool:
@@ -225,10 +234,11 @@ class SimulatedStudio:
         """Return frames; see `Studio`."""
         # The camera runs freely: an exposure begins with every whole frame.
         number = int(np.ceil((self._time_s - self._phase_s) / FRAME_S))
+        self._starts_s = (self._phase_s + FRAME_S * (number + np.arange(FRAMES))).tolist()
         frames = []
-        for start_s in self._phase_s + FRAME_S * (number + np.arange(FRAMES)):
-            frames.append(self._exposed(float(start_s)))
-            self._time_s = float(start_s) + FRAME_S
+        for start_s in self._starts_s:
+            frames.append(self._exposed(start_s))
+            self._time_s = start_s + FRAME_S
         return frames
 
     def guide(self, guidance: Guidance) -> None:
@@ -348,29 +358,36 @@ class SimulatedStudio:
         width, height = self._truth.geometry().camera.size_px
         faults = self._faults
         seen = self._exposure_s / self._first_exposure_s * self._gain  # compared with the start
-        parts = seen * faults.light * self._shares_of_cycle(start_s)
+        rows_s = np.asarray(start_s + faults.row_s * np.arange(height if faults.row_s else 1))[:, None, None]
+        parts = seen * faults.light * self._shares_of_cycle(rows_s)
         light = np.broadcast_to(light, (height, width, 3)) * parts.astype(np.float32)
         if faults.room:
-            light += np.float32(seen * faults.room * self._room(start_s))
+            light += (seen * faults.room * self._room(rows_s)).astype(np.float32)
         levels = self._camera.develop(light, start_s)
         return np.ascontiguousarray(levels[..., ::-1]) if faults.swapped else levels
 
-    def _room(self, start_s: float) -> float:
-        """Return the room light during an exposure, 1 in the mean."""
+    def _room(self, start_s: FloatArray) -> FloatArray:
+        """Return the room light during exposures, 1 in the mean."""
         turn = 2 * np.pi * _ROOM_HZ
         swing = np.cos(turn * start_s) - np.cos(turn * (start_s + self._exposure_s))
-        return float(1 + _ROOM_DEPTH * swing / (turn * self._exposure_s))
+        return np.asarray(1 + _ROOM_DEPTH * swing / (turn * self._exposure_s))
 
-    def _shares_of_cycle(self, start_s: float) -> npt.NDArray[np.float32]:
-        """Return how much of each colour an exposure sees, (3,), 1 where it is a whole number of cycles."""
+    def _shares_of_cycle(self, start_s: FloatArray) -> FloatArray:
+        """Return how much of each colour exposures see, (.., 3), 1 where they are a whole number of cycles."""
         cycle_s = self._faults.colour_cycle_s
         if cycle_s is None:
-            return np.ones(3, np.float32)
-        part = _LIT_PART if self._faults.at_once else 1 / 3
-        begins_s = np.zeros(3) if self._faults.at_once else np.arange(3) * cycle_s / 3
+            return np.ones(3)
+        if self._faults.at_once:
+            shown = np.array([[0, _LIT_PART]] * 3)
+        elif self._faults.shown is not None:
+            shown = self._faults.shown
+        else:
+            shown = np.arange(3)[:, None] / 3 + np.array([0, 1 / 3])
+        begins_s, lasts_s = cycle_s * shown[:, 0], cycle_s * np.diff(shown)[:, 0]
 
-        def lit_s(until_s: float) -> FloatArray:
-            whole, rest = divmod(until_s, cycle_s)
-            return np.asarray(whole * cycle_s * part + np.clip(rest - begins_s, 0, cycle_s * part))
+        def lit_s(until_s: FloatArray) -> FloatArray:
+            whole, rest_s = np.divmod(until_s - begins_s, cycle_s)
+            return np.asarray(whole * lasts_s + np.minimum(rest_s, lasts_s))
 
-        return np.asarray((lit_s(start_s + self._exposure_s) - lit_s(start_s)) / (part * self._exposure_s), np.float32)
+        lit = (lit_s(start_s + self._exposure_s) - lit_s(start_s)) / (lasts_s * self._exposure_s / cycle_s)
+        return np.asarray(lit)

@@ -61,6 +61,10 @@ class Studio(Protocol):
     def sensor(self) -> SensorPart | None:
         """The part of the camera's sensor that frames are; None: it is not known."""
 
+    @property
+    def taken_s(self) -> list[float]:
+        """When the last frames were exposed, plus a constant, by the camera's clock if it has one."""
+
     def set_camera(self, exposure_s: float, gain_db: float) -> float:
         """Set exposure and gain, and return the exposure as read back; the camera starts afresh."""
 
@@ -135,6 +139,7 @@ class RigStudio:
             self._rig.close()
             raise
         self._bursts = self._rig.bursts()
+        self._taken_s: list[float] = []
 
     @property
     def projector_px(self) -> tuple[int, int]:
@@ -158,6 +163,11 @@ class RigStudio:
     def sensor(self) -> SensorPart | None:
         """The part of the camera's sensor that frames are; see `Studio`."""
         return SensorPart.of(self._rig.camera.limits)
+
+    @property
+    def taken_s(self) -> list[float]:
+        """When the last frames were exposed; see `Studio`."""
+        return self._taken_s
 
     def set_camera(self, exposure_s: float, gain_db: float) -> float:
         """Set exposure and gain; see `Studio`.
@@ -187,7 +197,10 @@ class RigStudio:
 
     def take(self) -> list[ImageArray]:
         """Return frames; see `Studio`."""
-        return [np.array(runtime.to_host(develop((frame.image,), self._format))) for frame in next(self._bursts).frames]
+        paired = next(self._bursts).frames
+        arrived = [each.frame for each in paired]
+        self._taken_s = [each.host_time_s if each.device_time_s is None else each.device_time_s for each in arrived]
+        return [np.array(runtime.to_host(develop((each.image,), self._format))) for each in paired]
 
     def guide(self, guidance: Guidance) -> None:
         """Write the operator's picture; see `Studio`."""

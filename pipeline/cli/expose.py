@@ -5,6 +5,7 @@ from math import inf, isclose, isinf
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 from cyclopts import Parameter
 
 from hardware.drivers import SIMULATED
@@ -12,6 +13,7 @@ from hardware.settings import RigSettings
 from pipeline.acquisition.chosen_rig import read_rig
 from pipeline.acquisition.exposure import ExposureFinder, ExposureReport
 from pipeline.acquisition.focus import FocusMeter
+from pipeline.acquisition.light_fields import MeasuredFields
 from pipeline.acquisition.rig_faults import RigFault, RigProbe
 from pipeline.acquisition.rig_file import change_file
 from pipeline.acquisition.simulated_capture import SETTINGS
@@ -24,6 +26,8 @@ from pipeline.planning.rig_plan import plan_rig
 
 # Digits of an exposure: cameras set theirs in steps of 1 us.
 _EXPOSURE_DIGITS = 6
+# Digits of times of colours, to 1 us, and of rows, to 1 ns.
+_FIELD_DIGITS, _ROW_DIGITS = 6, 9
 # Values that differ by less than this part are the same: an exposure may be off its cycle by 0.002 (colour_cycle.py).
 _SAME = 1e-3
 # A live figure changes with this delay of the picture at least, s: a shorter one shows the picture before.
@@ -67,6 +71,10 @@ def expose(
     mm_per_rad, source = _mm_per_rad(calibration)
     for line in _in_words(report, mm_per_rad, source):
         say(line)
+    projector = settings.projector
+    locked = projector.fields is not None and projector.fields.locked
+    if projector.colour_cycle_s is not None and report.level and not locked and not _in_turns(report):
+        remark("the rig's file states projector.colour_cycle_s, but all colours come at once: delete it, and fields")
     if rig != SIMULATED:
         if _change(Path(rig), settings, report) and calibration is not None:
             remark(
@@ -115,6 +123,7 @@ def _in_words(report: ExposureReport, mm_per_rad: float, source: str) -> Iterato
         yield f"the projector's light repeats every {1e3 * cycle.period_s:.4f} ms ({hz:.2f} Hz), {how}"
     elif report.level:
         yield "the projector's light is constant, so any exposure sees all of it"
+    yield from _fields_in_words(report)
     if report.level:
         cycles = "" if cycle is None else f" ({report.exposure_s / cycle.period_s:.0f} cycles)"
         yield (
@@ -132,6 +141,55 @@ def _in_words(report: ExposureReport, mm_per_rad: float, source: str) -> Iterato
         yield f"mm are RMS, at {mm_per_rad:.2f} mm per rad {source}"
 
 
+def _in_turns(report: ExposureReport) -> bool:
+    return report.cycle is not None and report.cycle.in_turns
+
+
+def _fields_in_words(report: ExposureReport) -> Iterator[str]:
+    """Yield when each colour is on, and how the camera's rows follow each other."""
+    fields = report.fields
+    if fields is None:
+        if report.level:
+            yield "camera.row_s cannot be measured under constant light: a rolling shutter's data sheet has it"
+    elif isinstance(fields, str):
+        yield f"times of colours and rows cannot be measured: {fields}"
+    else:
+        if _in_turns(report):
+            if fields.doubt is None:
+                red, green, blue = (f"from {on:.3f} to {off:.3f} ms" for on, off in 1e3 * fields.apart_s)
+                yield (
+                    f"red is on {red}, green {green}, blue {blue} of each cycle, to {1e3 * fields.shown_sigma_s:.3f} ms"
+                )
+            else:
+                yield f"projector.fields is not set: {fields.doubt}"
+        if fields.is_periodic:
+            sigma_us = f"{1e6 * fields.row_sigma_s:.2g} us"
+            if fields.row_s:
+                yield f"the shutter rolls, {1e6 * fields.row_s:.2f} us from row to row, to {sigma_us}"
+            else:
+                yield f"all rows are exposed at once, to {sigma_us} from row to row"
+
+
+def _field_values(settings: RigSettings, fields: MeasuredFields, *, in_turns: bool) -> dict[str, float | list[float]]:
+    """Return the values of a rig's file for colours and rows that differ significantly from those in it."""
+    values: dict[str, float | list[float]] = {}
+    moved_s = abs(fields.row_s - settings.camera.row_s)
+    if fields.is_periodic and moved_s > max(3 * fields.row_sigma_s, _SAME * fields.row_s):
+        values["camera.row_s"] = round(fields.row_s, _ROW_DIGITS)
+    stated = settings.projector.fields
+    # Fields that are locked to the trigger start with it, which no frame shows.
+    if in_turns and fields.doubt is None and (stated is None or not stated.locked):
+        shown_s = fields.apart_s
+        if stated is not None:
+            off_s = np.array([stated.red_s, stated.green_s, stated.blue_s]) - stated.red_s[0] - shown_s
+            off_s -= fields.period_s * np.rint(off_s / fields.period_s)
+            if np.abs(off_s).max() <= max(3 * fields.shown_sigma_s, _SAME * fields.period_s):
+                return values
+        for name, span_s in zip(("red", "green", "blue"), shown_s, strict=True):
+            values[f"projector.fields.{name}_s"] = [round(float(time_s), _FIELD_DIGITS) for time_s in span_s]
+    return values
+
+
 def _priced(fault: RigFault, mm_per_rad: float) -> str:
     """Return a fault with its cost."""
     if isinf(fault.cost_rad):
@@ -140,7 +198,7 @@ def _priced(fault: RigFault, mm_per_rad: float) -> str:
 
 
 def _change(rig: Path, settings: RigSettings, report: ExposureReport) -> bool:
-    """Write exposure, gain and cycle into the rig's file where they differ from it; return whether they do."""
+    """Write what differs from the rig's file into it; return whether anything does."""
     if not report.level:
         return False
     present = {
@@ -151,11 +209,13 @@ def _change(rig: Path, settings: RigSettings, report: ExposureReport) -> bool:
     found = {"camera.exposure_s": round(report.exposure_s, _EXPOSURE_DIGITS), "camera.gain_db": report.gain_db}
     if report.cycle is not None and report.cycle.in_turns:
         found["projector.colour_cycle_s"] = round(report.cycle.period_s, _EXPOSURE_DIGITS + 2)
-    values = {
+    values: dict[str, float | list[float]] = {
         key: value
         for key, value in found.items()
         if (before := present[key]) is None or not isclose(value, before, rel_tol=_SAME)
     }
+    if isinstance(report.fields, MeasuredFields):
+        values |= _field_values(settings, report.fields, in_turns=_in_turns(report))
     kept, difference = change_file(rig, values)
     if kept is None:
         say(f"{rig} is as it should be")

@@ -4,6 +4,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
+
 from hardware.drivers import SIMULATED
 from hardware.instruments import open_instruments
 from hardware.settings import RigSettings
@@ -45,8 +47,12 @@ def opened_studio(
     with Stopping().listening(), steps() as show:
         show("opening the rig")
         if settings.trigger.driver == settings.camera.driver == SIMULATED:
+            cycle_s, fields = settings.projector.colour_cycle_s, settings.projector.fields
+            shown_s = None if fields is None else np.array([fields.red_s, fields.green_s, fields.blue_s])
             faults = StudioFaults(
-                colour_cycle_s=settings.projector.colour_cycle_s,
+                colour_cycle_s=cycle_s,
+                shown=None if shown_s is None or cycle_s is None else shown_s / cycle_s,
+                row_s=settings.camera.row_s,
                 camera=WEBCAM if settings.camera.serial == WEBCAM_NAME else CameraFaults(),
             )
             studio: Studio = SimulatedStudio(held, settings.camera.exposure_s, tell=show, faults=faults)

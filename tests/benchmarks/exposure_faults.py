@@ -3,9 +3,11 @@
 python tests/benchmarks/exposure_faults.py [FIRST_SEED [RIGS [PROCESSES]]]
 
 A row for each fault: the rigs that have it, those of them on which it is named, and the others on which it is named.
-Then the rigs on which every fault is named, and the rigs without faults on which one is named. A rig is drawn from its
-seed: gamma, crosstalk, noise, refresh rate, the way in which colours are lit, the camera's curve (linear or sRGB),
-brightness, and whether a sheet or a board is before it. Faults that hide each other are not drawn together (`HIDING`).
+Then the rigs on which every fault is named, and the rigs without faults on which one is named; and how far times of
+colours and rows are off on those, compared with the uncertainty that is stated. A rig is drawn from its seed: gamma,
+crosstalk, noise, refresh rate, the way in which colours are lit, their order, lengths and gaps, the time from row to
+row, how exact the times of frames are, the camera's curve (linear or sRGB), brightness, and whether a sheet or a board
+is before it. Faults that hide each other are not drawn together (`HIDING`).
 """
 
 import sys
@@ -16,7 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.acquisition.exposure import ExposureFinder
+from pipeline.acquisition.exposure import ExposureFinder, ExposureReport
+from pipeline.acquisition.light_fields import MeasuredFields
 from pipeline.acquisition.simulated_camera import CameraFaults
 from pipeline.acquisition.simulated_studio import SimulatedStudio, StudioFaults
 from pipeline.calibration.board import Board
@@ -127,8 +130,20 @@ def draw_rig(seed: int, faults: frozenset[str] | None = None) -> DrawnRig:
             studio["focus_px"] = rng.uniform(4, 7)
         else:
             camera = replace(camera, blur_px=rng.uniform(1.7, 3))
+    studio |= draw_times(np.random.default_rng([seed, 2005]))
     board = BOARD if rng.random() < 0.35 else None
     return DrawnRig(faults, exposure_s, light, StudioFaults(**studio, camera=camera), board)
+
+
+def draw_times(rng: np.random.Generator) -> dict[str, Any]:
+    """Return when colours are on, and times of rows and frames."""
+    lengths = rng.uniform(0.2, 0.34, 3)
+    gaps = rng.dirichlet(np.ones(3)) * (1 - lengths.sum()) * rng.choice([0, 1])
+    lengths *= (1 - gaps.sum()) / lengths.sum()
+    on = np.cumsum(np.append(0, (lengths + gaps)[:2]))
+    shown = np.stack([on, on + lengths], axis=1)[rng.permutation(3)]
+    row_s = rng.uniform(5e-6, 7e-5) * rng.choice([0, 1])
+    return {"shown": shown, "row_s": float(row_s), "jitter_s": float(rng.choice([1e-6, 2e-4]))}
 
 
 def draw_camera(rng: np.random.Generator, faults: frozenset[str]) -> CameraFaults:
@@ -145,8 +160,19 @@ def draw_camera(rng: np.random.Generator, faults: frozenset[str]) -> CameraFault
     )
 
 
-def named_on(seed: int, faulty: bool) -> tuple[frozenset[str], list[str], str]:
-    """Return the faults of a rig, those that are named, and what else there is to see."""
+def errors_of(found: ExposureReport, rig: StudioFaults) -> tuple[float, ...] | None:
+    """Return the errors of the cycle (part), of edges and rows (s), and uncertainties of these; None: not measured."""
+    fields, cycle_s, shown = found.fields, rig.colour_cycle_s, rig.shown
+    if not isinstance(fields, MeasuredFields) or fields.doubt is not None or cycle_s is None or shown is None:
+        return None
+    edges = fields.shown_s / cycle_s - (shown - shown[0, 0])
+    edge_s = cycle_s * float(np.abs(edges - np.rint(edges)).max())
+    row_s = abs(fields.row_s - rig.row_s)
+    return abs(fields.period_s / cycle_s - 1), edge_s, row_s, fields.shown_sigma_s, fields.row_sigma_s
+
+
+def named_on(seed: int, faulty: bool) -> tuple[frozenset[str], list[str], str, bool, tuple[float, ...] | None]:
+    """Return the faults of a rig, those named, what else there is to see, whether colours come in turn, and errors."""
     rig = draw_rig(seed, None if faulty else frozenset())
     finder = ExposureFinder(rig.open(seed), rig.exposure_s, 0.0, DEFAULT_PERIOD_PX, 0)
     found = finder.find()
@@ -156,7 +182,12 @@ def named_on(seed: int, faulty: bool) -> tuple[frozenset[str], list[str], str]:
     seen = f"cycle {detail}, {found.transfer} ({rig.studio.camera.curve}), level {found.level:.2f}"
     words = "; ".join(f"{fault.key} {fault.cost_rad:.3f}" for fault in found.faults)
     keys = ["room light" if fault.key in ROOM_LIGHT else fault.key for fault in found.faults]
-    return rig.faults, keys, f"{seen}; {words}"
+    in_turns = found.cycle is not None and found.cycle.in_turns
+    right = in_turns == (cycle_s is not None and not rig.studio.at_once)
+    errors = errors_of(found, rig.studio) if in_turns else None
+    times = "" if errors is None else "; cycle {:.1e}, edges {:.1e} s, rows {:.1e} s; {:.1e}, {:.1e} s".format(*errors)
+    doubt = found.fields.doubt if in_turns and isinstance(found.fields, MeasuredFields) else found.fields
+    return rig.faults, keys, f"{seen}; {words}{times}" + (f"; {doubt}" if isinstance(doubt, str) else ""), right, errors
 
 
 def main(first_seed: int = 100, rigs: int = 30, processes: int = 1) -> None:
@@ -164,13 +195,16 @@ def main(first_seed: int = 100, rigs: int = 30, processes: int = 1) -> None:
     seeds = range(first_seed, first_seed + rigs)
     jobs = [(seed, faulty) for faulty in (True, False) for seed in seeds]
     present, named, besides, complete, alarms = Counter[str](), Counter[str](), Counter[str](), 0, 0
+    right, measured = 0, []
     with ProcessPoolExecutor(processes) as pool:
-        for (seed, faulty), (faults, found, seen) in zip(
+        for (seed, faulty), (faults, found, seen, kind, errors) in zip(
             jobs, pool.map(named_on, *zip(*jobs, strict=True)), strict=True
         ):
             missed, more = faults - set(found), set(found) - faults
             complete += faulty and not missed
             alarms += not faulty and bool(found)
+            right += not faulty and kind
+            measured += [errors] if errors is not None and not faulty else []
             present.update(faults)
             named.update(faults & set(found))
             besides.update(more)
@@ -180,6 +214,16 @@ def main(first_seed: int = 100, rigs: int = 30, processes: int = 1) -> None:
     for fault in sorted({*FAULTS, *besides}):
         print(f"{fault:<26}{present[fault]:>8}{named[fault]:>8}{besides[fault]:>9}")
     print(f"every fault is named on {complete} of {rigs} rigs; of {rigs} without, something is named on {alarms}")
+    print(
+        f"of these {right} are rightly named as showing colours in turn or at once; times are found on {len(measured)}"
+    )
+    if measured:
+        cycle, edges_s, rows_s, edge_sigma_s, row_sigma_s = np.array(measured).T
+        for name, errors_s, sigma_s in (("edges", edges_s, edge_sigma_s), ("rows", rows_s, row_sigma_s)):
+            off = 1e6 * np.percentile(errors_s, (50, 100))
+            inside = (errors_s < 2 * sigma_s).mean()
+            print(f"{name}: median {off[0]:.3f}, worst {off[1]:.3f} us; within 2 sigma {inside:.0%}")
+        print(f"cycle: worst {cycle.max():.1e}")
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ from pipeline.acquisition.camera_effects import CameraEffects
 from pipeline.acquisition.exposure import ExposureFinder
 from pipeline.acquisition.focus import FocusMeter
 from pipeline.acquisition.light_cycle import FlashMeter
+from pipeline.acquisition.light_fields import measure_fields
 from pipeline.acquisition.rig_faults import RigProbe
 from pipeline.acquisition.simulated_camera import CameraFaults
 from pipeline.acquisition.simulated_studio import SimulatedStudio, StudioFaults
@@ -125,6 +126,37 @@ def test_constant_light_has_no_cycle():
     assert FlashMeter(probed(rig()), 0.6, EXPOSURE_S, 0.0, lambda values: values).cycle() is None
 
 
+@pytest.mark.parametrize(
+    "faults, curve",
+    [
+        # Blue, green, red and a dark gap, before a rolling shutter; red, blue and green before a global one.
+        ({"shown": np.array([[0.55, 0.85], [0.3, 0.55], [0.0, 0.3]]), "row_s": 20e-6, "jitter_s": 2e-4}, "linear"),
+        ({"shown": np.array([[0.0, 0.35], [0.7, 1.0], [0.4, 0.7]]), "jitter_s": 1e-6, "room": 0.1}, "srgb"),
+    ],
+)
+def test_times_of_colours_and_rows(faults, curve):
+    studio = rig(colour_cycle_s=1 / 118, camera={"curve": curve}, **faults)
+    probe = probed(studio)
+    curve = measure_tone_curve(probe, 0.8)
+    found = measure_fields(probe, curve.to_light, 1.001 / 118, 0.9 / EXPOSURE_S)
+    assert found.doubt is None
+    assert found.period_s == pytest.approx(1 / 118, rel=5e-5)
+    shown = faults["shown"] - faults["shown"][0, 0]
+    errors = 118 * found.shown_s - shown
+    # A hundredth of a cycle costs what a third of one costs, times .03: motion of one field is undone to that.
+    assert np.abs(errors - np.rint(errors)).max() < 0.01
+    assert np.abs(errors - np.rint(errors)).max() / 118 < 3 * found.shown_sigma_s
+    assert found.row_s == pytest.approx(faults.get("row_s", 0.0), abs=0.1e-6)
+    assert abs(found.white) < 0.05
+
+
+def test_exposures_that_are_too_long_for_fields():
+    studio = rig(colour_cycle_s=1 / 118)
+    probe = probed(studio)
+    slow = measure_fields(probe, lambda values: values, 5e-5, 0.9 / EXPOSURE_S)
+    assert slow == "the camera's shortest exposure, 0.020 ms, is longer than a third of the cycle"
+
+
 def find(studio, exposure_s=EXPOSURE_S):
     return ExposureFinder(studio, exposure_s, 0.0, DEFAULT_PERIOD_PX, 0).find()
 
@@ -135,6 +167,7 @@ def test_a_rig_without_faults():
     assert found.level == pytest.approx(0.9, abs=0.02)
     assert found.gain_db == 0
     assert found.cycle is None
+    assert found.fields is None
     assert found.contrast.min() > 0.9
 
 

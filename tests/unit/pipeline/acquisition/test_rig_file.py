@@ -1,5 +1,7 @@
 """Values in a rig's file change, and nothing else in it does."""
 
+import tomllib
+
 import pytest
 
 from hardware.errors import RigError
@@ -24,6 +26,19 @@ def test_comments_stay():
         "=",
         "0.008333",
     ]
+
+
+@pytest.mark.parametrize(
+    "projector", ["", "[projector]\ncolour_cycle_s = 0.01\n", "projector = {colour_cycle_s = 0.01}\n"]
+)
+def test_sections_within_sections_are_added(projector):
+    changed = with_values(projector + RIG, {"projector.fields.red_s": [0.0, 0.003], "camera.row_s": 2e-5})
+    read = tomllib.loads(changed)
+    assert read["projector"]["fields"] == {"red_s": [0.0, 0.003]}
+    assert read["projector"].get("colour_cycle_s") == (0.01 if projector else None)
+    assert read["camera"] == {"exposure_s": 0.02, "gain_db": 0.0, "row_s": 2e-5}
+    assert "exposure_s = 0.02  # a guess" in changed
+    assert with_values(changed, {"projector.fields.red_s": [0.0, 0.003]}) == changed
 
 
 def test_old_files_are_kept_and_never_overwritten(tmp_path):
