@@ -299,9 +299,7 @@ class Decoder:
         work.smoother.across(rows.unwrapped, rows.mask, rates, out=(surface.unwrapped, phases.variance))
         doubt_rims(work.brightness, rows.region, out=phases.variance)
         # Its place, at the time of the middle row.
-        row_motion = self._carry_rows(surface, memory, work)
-        if row_motion is not None:
-            doubt_motion(row_motion, phases.precision, out=phases.misfit)
+        row_motion = self._carry_rows(phases, surface, memory, work)
         if rays is not None:
             triangulate(surface.unwrapped, rays.rays, rays.projector, out=surface.points)
         doubted = (model.contrast, light.mismatch, light.odd, lambda: self._mm_per_rad(surface))
@@ -433,7 +431,9 @@ class Decoder:
         lags = motion.lags(fit.modulation)
         return hold_still(frame.image, fit, motion, model, light.crosstalk, lags), motion
 
-    def _carry_rows(self, surface: SurfaceBuffers, memory: FrameMemory | None, work: Workspace) -> RowMotion | None:
+    def _carry_rows(
+        self, phases: PhaseBuffers, surface: SurfaceBuffers, memory: FrameMemory | None, work: Workspace
+    ) -> RowMotion | None:
         """Carry the phase to the time of the middle row; return what has moved between rows; None: nothing known."""
         if not self._row or memory is None:
             return None
@@ -441,6 +441,7 @@ class Decoder:
         row = self._row / memory.elapsed
         motion = measure_rows(surface.unwrapped, before, row, work.period_px, rows_last=rows_last)
         runtime.write(runtime.to_host(surface.unwrapped) - motion.since_middle, surface.unwrapped)  # synchronises
+        doubt_motion(motion, phases.precision, out=phases.misfit)
         return motion
 
     def _learn_light(self, frame: LinearFrame, levels: FrameLevels, period_px: float, surface: SurfaceBuffers) -> bool:

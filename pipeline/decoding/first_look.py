@@ -29,13 +29,13 @@ from tikernels.phase.wrapped_phase import LEAST_NO_PHASE
 
 _Labels = npt.NDArray[np.uint8]
 
-# The window across the stripes that tells a place's colour, as a standard deviation in cycles; along them one block
-# does. It need not hold whole cycles, since what phases predict is seen through the same window.
+# Colours are averaged across the stripes by a Gaussian of this standard deviation, cycles; along them over one block.
+# It need not hold whole cycles, since what phases predict is seen through the same window.
 _COLOR_CYCLES = 0.3
 # Where colours change by as much from node to node, as logarithms of ratios, the window sees two surfaces. A colour has
 # at least the second share of what is even: of a fine print little is.
 _SHARP, _LEAST_SHARE = 0.065, 0.05
-# A node tells a colour if this share of its window is lit.
+# A node has a colour if this share of its window is lit.
 _FILLED = 0.3
 # What all of a frame's light has in common is measured on about this many samples.
 _SAMPLES = 3000

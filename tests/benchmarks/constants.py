@@ -63,6 +63,8 @@ changes most, if RMS changes by {rms:.1%}, error over sigma by {sigma:.0%}, cove
 {coverage:.1%} of the lit pixels, or wrong orders by {orders:.0f} per 100,000. From seed to seed the RMS of r-face
 differs by 5% (one standard deviation), that of r-objects-coded by 4%, that of touching-coded by 18%: what is less is
 chance there.
+None of these frames has light that scatters, nor colours in turn before a camera that runs freely: of the
+numbers that concern these, `films.py` judges what they do together.
 
 Left out are {left_out}.
 

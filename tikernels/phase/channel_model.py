@@ -54,8 +54,8 @@ from tikernels.strips import SPREAD, STRIP, color_of, lanes_of_colors, set_color
 # Places of a symmetric matrix' upper triangle, row by row.
 _UPPER = tuple((a, b) for a in range(TERMS) for b in range(a, TERMS))
 _CORNERS, _HALF = len(_UPPER), len(_UPPER) // 2
-#: Every fourth sample of a row tells the template, but of every row: a fringe of 12 px that runs along the rows shows
-# twelve phases, and nine numbers a channel want most of them.
+#: The template is fitted to every fourth sample of each row: a fringe of 12 px that runs along the rows shows twelve
+# phases, and nine numbers a channel need most of them.
 EVERY = 4
 #: What is known of the template beforehand weighs as much as this many samples: nothing where there is a surface.
 PRIOR_SAMPLES = 30

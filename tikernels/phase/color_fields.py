@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 Floats = npt.NDArray[np.float64]
 
-# Starts of the exposure that are told apart, in a cycle: the mean times of two neighbours differ by 1/32 cycle at most.
+# Possible starts of the exposure in a cycle: the mean times of two neighbours differ by 1/32 cycle at most.
 _STARTS = 64
 # From one frame to the next the start strays from its nominal advance by this standard deviation, in times from frame
 # to frame: video at 29.97 instead of 30 Hz moves it by a tenth of that, and a dozen frames are averaged.

@@ -25,7 +25,7 @@ COLUMNS = 16
 _MIN_SHARE = 0.15
 # What is brighter than this share of the brightest is lit; clipped at zero, darker light would show half of its noise.
 _LIT = 0.1
-# Groups of samples, equally bright within each, that tell how the noise grows with the light, and samples of each.
+# Groups of equally bright samples that show how the noise grows with the light, and the fewest samples of one.
 _NOISE_GROUPS, _LEAST_GROUP = 8, 200
 # Fourth differences leave out tilted stripes, and pixels two apart what demosaicing makes of their neighbours.
 _DIFFERENCE, _APART_PX = (1, -4, 6, -4, 1), 2

@@ -43,7 +43,7 @@ from tikernels.strips import SPREAD, color_of, lanes_of_colors, set_color, strip
 TILES = 6
 # Cycles that each wants, and how far they are averaged with their neighbours, in tiles.
 _CYCLES, _AROUND = 2, 1.0
-# What a sample says of x counts beside this, as a fraction of its light.
+# Standard error of the model, as a fraction of a sample's light: it keeps x at zero where there are no harmonics.
 _PRIOR = 0.03
 # By how much further a step goes than the samples say.
 _STEP = 2.0

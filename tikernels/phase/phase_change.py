@@ -11,7 +11,7 @@ from tikernels.launching import kernel
 from tikernels.phase.phase_vector import TINY
 from tikernels.phase.wrapped_phase import has_phase
 
-#: Every eighth pixel both ways tells the usual change.
+#: The usual change is measured at every eighth pixel both ways.
 SAMPLE = 8
 #: Places in the last row of what `measure_rates` fills: the usual change along and across the stripes, rad a px, and
 #: the mean quality.

@@ -36,7 +36,7 @@ _Misfits = npt.NDArray[np.float32]
 _Labels = npt.NDArray[np.uint8]
 _Mask = npt.NDArray[np.bool_]
 
-# So many pixels beside sixteen count for them.
+# So many pixels on either side of a strip of sixteen are averaged with it.
 _BESIDE = 4
 _wide_lanes = ti.types.vector(AT_ONCE + 2 * _BESIDE, ti.f32)
 cell_lanes = ti.types.matrix(CELL_ROWS, AT_ONCE, ti.f32)

@@ -56,7 +56,7 @@ def band_weights(wavelengths_nm: npt.ArrayLike) -> _Array:
     return np.stack(shares, axis=-1)
 
 
-# Newton's steps that find the reflectances, how far one goes at the most, and by how much they keep together.
+# Newton's method for the reflectances: most steps, the longest and the last step, and the weight of equal reflectances.
 _NEWTON, _NEWTON_STEP, _NEWTON_ENOUGH, _TOGETHER = 12, 0.7, 1e-4, 3e-4
 # Standard deviations: of an entry's logarithm, as a fraction of the range of log rho; of the logarithm of a row's sum,
 # since a surface of few cycles does not show its colour evenly.
@@ -67,7 +67,7 @@ _AMBIENT_FRACTION, _AMBIENT_SHARE = 0.3, 0.004
 _BLUR = 0.05
 # Without ambient light a channel has at least this fraction of the brightest one's light.
 _DIMMEST = 0.05
-# A surface tells z to this fraction of its light, and the brightness' harmonics to that one.
+# Standard errors of a surface's z and of its brightness' harmonics, as fractions of its light.
 _MISFIT, _BRIGHTNESS = 0.002, 0.006
 # Of the contrast that red loses where light scatters under the surface. To first order the loss goes with the square of
 # the way, and green and blue get half and a quarter as far, in skin.
@@ -76,7 +76,7 @@ _SCATTERED, _LOST = 0.3, np.array([1, 1 / 4, 1 / 16])
 PROOF = 6
 # By how much an entry grows at the most, as a fraction of its row.
 _MOST = 0.5
-# The brightness tells where it is not further than this from what is usual, as a logarithm, and on so many places.
+# The brightness' harmonics count where its logarithm is this near to the median, and there are so many places.
 _USUAL_BRIGHTNESS, _LEAST_BRIGHTNESS = 0.5, 30
 # Places of the cycle that the phase's constant is the mean of.
 _PHASES = 48

@@ -51,7 +51,7 @@ MODEL_ERROR, _AMBIENT_ERROR = 0.01, 0.04
 # Phases that the light's contrast is computed at. And places of its table, around the square |x| + |y| = 1: to find a
 # point's place takes a division, but no arctangent; from one to the next the contrast changes by up to 0.004.
 _PHASES, _PLACES = 256, 1024
-# A code's contrast is told by what is around, a Gaussian in cycles.
+# A code's contrast is the mean around a place, by a Gaussian of this standard deviation, cycles.
 _CODE_CYCLES = 0.3
 # Errors that neighbours share, as JPEG's, are told by means along the stripes over this many cycles.
 _SHARED_CYCLES = 2.0
