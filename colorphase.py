@@ -59,7 +59,7 @@ if TYPE_CHECKING:
         RenderError,
         SettingsError,
     )
-    from pipeline.footage import StoredAs, open_source, read_image
+    from pipeline.footage import Footage, StoredAs, open_footage, read_image
     from pipeline.output import Mesh, StoredResult, frame_mesh, read_mesh, write_mesh
     from pipeline.recording import Recorder
     from pipeline.settings import DecodeSettings
@@ -82,6 +82,7 @@ __all__ = [
     "DecodedFrame",
     "Decoder",
     "DeviceNotReady",
+    "Footage",
     "FootageError",
     "LightEstimate",
     "LiveDecoder",
@@ -106,8 +107,8 @@ __all__ = [
     "UserUnwrapper",
     "frame_mesh",
     "init",
+    "open_footage",
     "open_instruments",
-    "open_source",
     "read_image",
     "read_mesh",
     "read_rig",

@@ -4,11 +4,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from pipeline.acquisition.capture_folder import LOG, RECORDING, end_log
+from pipeline.acquisition.capture_folder import RECORDING, end_log
 from pipeline.errors import FootageError
 from pipeline.files import LEFTOVER
-from pipeline.footage.opening import open_source
-from pipeline.footage.source import BadFrame
+from pipeline.footage.footage import BadFrame
+from pipeline.footage.frame_times import LOG
+from pipeline.footage.opening import open_footage
 from pipeline.output.folder import STORE, changed_files
 from pipeline.output.stored_result import StoredResult
 from pipeline.recording.zarr_writer import finish_recording, unfinished
@@ -91,7 +92,7 @@ def _verify_result(location: str, tell: Tell) -> Verified:
 
 def _verify_recording(path: Path, tell: Tell) -> Verified:
     """Read every frame of a recording, or of other footage."""
-    source = open_source(path)
+    source = open_footage(path)
     faults = {}
     try:
         for frame in source.frames():

@@ -24,6 +24,7 @@ from pipeline.acquisition.live import LiveDecoder
 from pipeline.calibration import Calibration
 from pipeline.errors import OutputError, SettingsError
 from pipeline.files import LEFTOVER, explain, write_atomically
+from pipeline.footage.frame_times import LOG
 from pipeline.footage.zarr_recording import MOST_FRAMES_A_SECOND
 from pipeline.limits import read_plain
 from pipeline.models import SensorPart
@@ -32,7 +33,7 @@ from pipeline.settings import DecodeSettings
 from tikernels.raw.pixel_format import PixelFormat
 
 #: What a capture's folder holds.
-RECORDING, LOG, CALIBRATION = "recording.zarr", "log.jsonl", "calibration.json"
+RECORDING, CALIBRATION = "recording.zarr", "calibration.json"
 SETTINGS, PREVIEW = "settings.toml", "live.png"
 # Bytes of a log; three million frames take as much.
 _MOST_LOG = 2**30

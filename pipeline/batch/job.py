@@ -17,9 +17,9 @@ from pipeline.decoding.doubts import CODE_SHOWN
 from pipeline.decoding.front_side import RimVotes
 from pipeline.decoding.self_calibration import LightEstimate
 from pipeline.errors import DecodeWarning, FootageError, SettingsError
+from pipeline.footage.footage import Footage, StoredAs, StoredFrame
 from pipeline.footage.image_folder import ImageFolder
-from pipeline.footage.opening import frame_times, open_source
-from pipeline.footage.source import Source, StoredAs, StoredFrame
+from pipeline.footage.opening import open_footage
 from pipeline.limits import BYTES_A_PIXEL, max_pixels
 from pipeline.models import CodeName, ImageArray
 from pipeline.output.folder import file_digest
@@ -112,7 +112,7 @@ class Job:
     digests: tuple[bytes, ...] = ()  # of each frame's file, or of the one that holds all
     stamps: tuple[tuple[int, ...], ...] = ()  # of the same files, before they were read; (): they are not watched
 
-    def open(self) -> Source:
+    def open(self) -> Footage:
         """Open the footage.
 
         Raises
@@ -120,17 +120,17 @@ class Job:
         FootageError, CalibrationError, SettingsError
             It cannot be read, or the calibration or the region of interest does not fit it.
         """
-        source = open_source(self.footage, listed=self.listed, **vars(self.says))
+        source = open_footage(self.footage, listed=self.listed, **vars(self.says))
         self._calibration_of(source)
         if self.crop is not None:
             self.crop.check(source.size_px, source.format)
         return source
 
-    def size_px(self, source: Source) -> tuple[int, int]:
+    def size_px(self, source: Footage) -> tuple[int, int]:
         """Return width and height of what is decoded of a frame."""
         return source.size_px if self.crop is None else (self.crop.width, self.crop.height)
 
-    def pinned(self, source: Source) -> "Job":
+    def pinned(self, source: Footage) -> "Job":
         """Return the same for the footage as it is now: which pictures, what they hold, and how light is encoded.
 
         All of it is read. The light is the footage's word where nobody knows better; the calibration is that of the
@@ -165,7 +165,7 @@ class Job:
         begin = self.first + (number - self.first) // length * length
         return hashlib.sha256(b"".join(self.digests[begin : number + 1 : self.step])).hexdigest()[:32]
 
-    def identity(self, source: Source) -> dict[str, Any]:
+    def identity(self, source: Footage) -> dict[str, Any]:
         """Return all that a frame's result depends on, except its number, as JSON."""
         return {
             **result_attributes(self.settings, self.calibration),
@@ -182,7 +182,7 @@ class Job:
             "chain_frames": CHAIN_FRAMES,
         }
 
-    def open_store(self, source: Source) -> ResultStore:
+    def open_store(self, source: Footage) -> ResultStore:
         """Open the store.
 
         Raises
@@ -192,7 +192,7 @@ class Job:
         """
         return ResultStore(self.store, self.identity(source), self.fields)
 
-    def make_store(self, source: Source, learnt: Learnt = _NOTHING) -> ResultStore:
+    def make_store(self, source: Footage, learnt: Learnt = _NOTHING) -> ResultStore:
         """Make what is missing of the store, with what has been learnt of its footage.
 
         Raises
@@ -207,9 +207,7 @@ class Job:
             **camera_attribute(self._calibration_of_part()),
         }
         identity, size_px = self.identity(source), self.size_px(source)
-        return ResultStore.make(
-            self.store, identity, self.fields, len(source), size_px, also, times=frame_times(source)
-        )
+        return ResultStore.make(self.store, identity, self.fields, len(source), size_px, also, times=source.times)
 
     def decoder(self) -> Decoder:
         """Return a decoder of such frames."""
@@ -219,7 +217,7 @@ class Job:
             settings = settings.model_copy(update={"fields": fields})
         return Decoder(settings, self._calibration_of_part(), arch=self.arch)
 
-    def _calibration_of(self, source: Source) -> Calibration | None:
+    def _calibration_of(self, source: Footage) -> Calibration | None:
         """Return the calibration of the footage's whole frames; see `Calibration.as_read_out`."""
         if self.calibration is None:
             return None
@@ -239,7 +237,7 @@ class Job:
         image: LevelsImage = develop(planes, format, stripes=self.settings.stripes, out=out)
         return image
 
-    def learn(self, source: Source) -> Learnt:
+    def learn(self, source: Footage) -> Learnt:
         """Learn the light, a code, and which side is in front from the footage, where nothing else states them.
 
         Of 64 evenly spaced frames, the first with fringes shows whether there is a code, and the first whose light can
@@ -284,7 +282,7 @@ class Job:
 
 
 def with_transfer_of(
-    source: Source, settings: DecodeSettings, calibration: Calibration | None
+    source: Footage, settings: DecodeSettings, calibration: Calibration | None
 ) -> tuple[DecodeSettings, str]:
     """Return settings that say how light is encoded, as they did, by the calibration or by the footage; and by which.
 
@@ -329,7 +327,7 @@ def join_ranges(ranges: Sequence[range]) -> Iterator[range]:
         yield joined
 
 
-def _fingerprint(source: Source) -> str | None:
+def _fingerprint(source: Footage) -> str | None:
     """Return a SHA-256 of the first good frame's values."""
     for stored in source.frames():
         if isinstance(stored, StoredFrame):

@@ -11,8 +11,8 @@ from pipeline.calibration import Calibration
 from pipeline.decoder import Decoder
 from pipeline.decoding.frame import DecodedFrame
 from pipeline.errors import FootageError, RenderError
-from pipeline.footage.opening import open_source
-from pipeline.footage.source import BadFrame, StoredAs
+from pipeline.footage.footage import BadFrame, StoredAs
+from pipeline.footage.opening import open_footage
 from pipeline.output.folder import output_folder, write_frame
 from pipeline.output.range_image import write_png
 from pipeline.output.render import render_mesh
@@ -80,7 +80,7 @@ def decode_picture(
     """
     with output_folder(out, force=force) as folder:
         tell("reading")
-        source = open_source(picture, **vars(stored_as))
+        source = open_footage(picture, **vars(stored_as))
         settings, transfer_because = with_transfer_of(source, settings, calibration)
         (stored,) = source.frames()
         if isinstance(stored, BadFrame):

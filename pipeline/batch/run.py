@@ -17,7 +17,7 @@ from pipeline.batch.job import Job, Learnt, chains
 from pipeline.batch.worker import Chain, Outcome, Worker
 from pipeline.errors import DamageError, FootageError, OutputError, SettingsError
 from pipeline.files import explain, make_folder
-from pipeline.footage.source import BadFrame, Source
+from pipeline.footage.footage import BadFrame, Footage
 from pipeline.locking import locked
 from pipeline.output.store import ResultStore, SizeForecast, is_there, mean_frame_bytes, most_frame_bytes
 from tikernels import runtime
@@ -120,7 +120,7 @@ def _one_writer(store: str) -> Iterator[None]:
 
 def _decode_missing(
     job: Job,
-    source: Source,
+    source: Footage,
     wanted: range,
     telling: "_Telling",
     *,
@@ -174,7 +174,7 @@ def _decode_missing(
     return summary
 
 
-def _wanted(source: Source, start: int, stop: int | None, step: int) -> range:
+def _wanted(source: Footage, start: int, stop: int | None, step: int) -> range:
     """Return the numbers of the frames that are asked for; refuse none."""
     wanted = range(len(source))[start:stop:step]
     if not wanted:
@@ -185,7 +185,7 @@ def _wanted(source: Source, start: int, stop: int | None, step: int) -> range:
 
 
 def _ready_store(
-    job: Job, source: Source, wanted: range, telling: "_Telling", *, workers: int | None, cluster: str | None
+    job: Job, source: Footage, wanted: range, telling: "_Telling", *, workers: int | None, cluster: str | None
 ) -> tuple[ResultStore, tuple[str, ...], SizeForecast | None]:
     """Open the store, a new one with what the footage tells of itself, and only if its disk has room for it.
 
@@ -242,7 +242,7 @@ def _kernels_to_share(job: Job, wanted: range, workers: int | None, cluster: str
     runtime.stop()
 
 
-def _forecast(job: Job, source: Source, n_frames: int, frame_bytes: float | None) -> SizeForecast:
+def _forecast(job: Job, source: Footage, n_frames: int, frame_bytes: float | None) -> SizeForecast:
     return SizeForecast(job.store, n_frames, most_frame_bytes(job.fields, job.size_px(source)), frame_bytes)
 
 

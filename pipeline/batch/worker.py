@@ -14,8 +14,7 @@ from typing import Any
 from pipeline.batch.job import Job, join_ranges
 from pipeline.decoding.frame import DecodedFrame
 from pipeline.errors import DecodeWarning, FootageError
-from pipeline.footage.opening import frame_times
-from pipeline.footage.source import BadFrame, Frames, Source, StoredFrame
+from pipeline.footage.footage import BadFrame, Footage, Frames, StoredFrame
 from pipeline.output.store import ResultStore, WrittenFrame
 from tikernels import runtime
 
@@ -67,7 +66,7 @@ class Worker:
         self._decoder.use_code(self._store.says.code)
         self._decoder.use_light(self._store.says.light)
         self._decoder.use_rims(self._store.says.rim_votes)
-        self._times = None if job.settings.fields is None else frame_times(self._source)
+        self._times = None if job.settings.fields is None else self._source.times
         self._decoded = 0  # the number of the frame that was decoded last
         width, height = job.size_px(self._source)
         self._image = runtime.empty((height, width, 3), self._source.format.rgb_dtype)
@@ -149,10 +148,10 @@ class Worker:
 
     def _elapsed(self, number: int) -> int:
         """Return how many times from frame to frame a frame is later than the one that was decoded last."""
-        passed, frame_s = number - self._decoded, self._job.settings.frame_s
+        frame_s = self._job.settings.frame_s
         if self._times is not None and frame_s is not None:
-            passed = round((self._times.of(number) - self._times.of(self._decoded)) / frame_s)
-        return max(1, passed)
+            return self._times.elapsed(self._decoded, number, frame_s)
+        return max(1, number - self._decoded)
 
 
 @dataclass(eq=False)
@@ -222,7 +221,7 @@ class _Marks:
 
 
 @contextmanager
-def _read_ahead(source: Source, ranges: Sequence[range]) -> Iterator[Iterator[StoredFrame | BadFrame]]:
+def _read_ahead(source: Footage, ranges: Sequence[range]) -> Iterator[Iterator[StoredFrame | BadFrame]]:
     """Read frames in a thread of their own, a few ahead."""
     read: Queue[Any] = Queue(_AHEAD)
     stopped = Event()
@@ -258,7 +257,7 @@ def _read_ahead(source: Source, ranges: Sequence[range]) -> Iterator[Iterator[St
         thread.join()
 
 
-def _frames_of(source: Source, ranges: Sequence[range]) -> Frames:
+def _frames_of(source: Footage, ranges: Sequence[range]) -> Frames:
     """Yield the frames of one range of numbers after another."""
     for numbers in ranges:
         with closing(source.frames(numbers.start, numbers.stop, numbers.step)) as frames:

@@ -21,9 +21,9 @@ from pipeline.calibration.still_pictures import (
     single_picture,
 )
 from pipeline.errors import CalibrationError, FootageError
+from pipeline.footage.footage import GREY, Footage
 from pipeline.footage.image_folder import natural_key
-from pipeline.footage.opening import open_source
-from pipeline.footage.source import GREY, Source
+from pipeline.footage.opening import open_footage
 from pipeline.models import FloatArray, ImageArray
 
 #: The recording in a folder that `colorphase capture` has made.
@@ -52,13 +52,13 @@ class CapturedFrames(Mapping[str, ImageArray]):
 
     Parameters
     ----------
-    source : Source
+    source : Footage
         Where they are.
     numbers : dict
         The frame of each name.
     """
 
-    def __init__(self, source: Source, numbers: dict[str, int]) -> None:
+    def __init__(self, source: Footage, numbers: dict[str, int]) -> None:
         self._source, self.numbers, self.sensor = source, numbers, source.sensor
 
     def __getitem__(self, name: str) -> ImageArray:
@@ -113,7 +113,7 @@ def find_captures(
     if place.is_dir() and captured_files(place).keys() & set(sequence.names):
         return [(place.name, CapturedFolder(place, sequence.names, orientations))]
     try:
-        source = open_source(place / _RECORDING if (place / _RECORDING).is_dir() else place)
+        source = open_footage(place / _RECORDING if (place / _RECORDING).is_dir() else place)
     except FootageError as error:
         if GREY not in str(error):
             raise
@@ -148,7 +148,7 @@ def find_poses(place: Path, sequence: PictureSequence) -> Iterator[tuple[str, Ca
         yield from find_captures(entry, sequence, orientations)
 
 
-def match_pictures(source: Source, sequence: PictureSequence) -> list[CapturedFrames]:
+def match_pictures(source: Footage, sequence: PictureSequence) -> list[CapturedFrames]:
     """Find the frames that show the pictures of a sequence; see `find_captures`."""
     count = len(sequence.names)
     changes = measure_changes(source)
@@ -172,11 +172,11 @@ def match_pictures(source: Source, sequence: PictureSequence) -> list[CapturedFr
     return [_named(source, sequence, group) for group in best]
 
 
-def _named(source: Source, sequence: PictureSequence, group: list[Still]) -> CapturedFrames:
+def _named(source: Footage, sequence: PictureSequence, group: list[Still]) -> CapturedFrames:
     return CapturedFrames(source, {name: still.middle for name, still in zip(sequence.names, group, strict=True)})
 
 
-def _find_groups(source: Source, sequence: PictureSequence, stills: list[Still]) -> list[list[Still]]:
+def _find_groups(source: Footage, sequence: PictureSequence, stills: list[Still]) -> list[list[Still]]:
     """Return the still pictures that are the sequence: of geometry those of every pose, else the first ones.
 
     Raises
@@ -212,7 +212,7 @@ def _find_groups(source: Source, sequence: PictureSequence, stills: list[Still])
     return found
 
 
-def _fits(source: Source, sequence: PictureSequence, group: list[Still]) -> bool:
+def _fits(source: Footage, sequence: PictureSequence, group: list[Still]) -> bool:
     """Return whether still pictures are the sequence."""
     if sequence.kind == "geometry":
         return _is_pose(group) and _steps_agree(_named(source, sequence, group))

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.errors import CalibrationError, FootageError
-from pipeline.footage.source import Source, StoredFrame
+from pipeline.footage.footage import Footage, StoredFrame
 from pipeline.models import FloatArray, ImageArray
 from tikernels import runtime
 from tikernels.raw.development import develop
@@ -61,7 +61,7 @@ class Still:
     light: FloatArray  # (cells, 3) RGB, of full scale
 
 
-def read_frame(source: Source, number: int) -> StoredFrame:
+def read_frame(source: Footage, number: int) -> StoredFrame:
     """Return a frame as it was stored.
 
     Raises
@@ -88,12 +88,12 @@ def developed(stored: StoredFrame) -> ImageArray:
     return image
 
 
-def single_picture(source: Source, number: int) -> Still:
+def single_picture(source: Footage, number: int) -> Still:
     """Return a frame that is the only one of its picture."""
     return Still(number, number, number, _light(read_frame(source, number)))
 
 
-def measure_changes(source: Source) -> Changes:
+def measure_changes(source: Footage) -> Changes:
     """Compare every frame with the two before; frames are read one by one, and not kept.
 
     Raises
@@ -122,7 +122,7 @@ def measure_changes(source: Source) -> Changes:
     return Changes(numbers, _times_noise(both, variance), variance, bad)
 
 
-def find_stills(source: Source, changes: Changes) -> list[list[Still]]:
+def find_stills(source: Footage, changes: Changes) -> list[list[Still]]:
     """Return the still pictures in order of time, by each of several thresholds and shortest runs."""
     rules = list(product(_THRESHOLDS, _SHORTEST))
     found: list[list[Still]] = [[] for _ in rules]

@@ -51,7 +51,7 @@ def check(
     from pipeline.acquisition.capture_folder import RECORDING
     from pipeline.batch.job import with_transfer_of
     from pipeline.diagnosis.rig_check import check_captures, check_picture, check_sequence, holds_captures
-    from pipeline.footage.opening import open_source
+    from pipeline.footage.opening import open_footage
 
     if radius_mm is not None and shape != "ball":
         raise SettingsError("--radius-mm is a ball's: add --shape ball")
@@ -66,7 +66,7 @@ def check(
         _show_check(check_captures(capture, known, chosen))
         return
     recorded = capture / RECORDING
-    source = open_source(recorded if recorded.is_dir() else capture)
+    source = open_footage(recorded if recorded.is_dir() else capture)
     chosen, _ = with_transfer_of(source, chosen, known)
     if capture.is_dir() and not one_picture:
         n_frames, changes = check_sequence(source, known, chosen, arch)

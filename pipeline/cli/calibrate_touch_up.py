@@ -36,14 +36,14 @@ def touch_up(
     from pipeline.batch.job import with_transfer_of
     from pipeline.diagnosis.drift import measure_drift
     from pipeline.diagnosis.picture_reader import PictureReader
-    from pipeline.footage.opening import open_source
+    from pipeline.footage.opening import open_footage
 
     if out is not None:
         check_target(out, force=force)
     known = Calibration.read(calibration)
     frames, chosen = [], read_settings(settings)
     for path in (before, picture):
-        source = open_source(path)
+        source = open_footage(path)
         reader = PictureReader.of_one(source, known, with_transfer_of(source, chosen, known)[0], arch)
         frames += [frame for _, frame in reader.frames()]
     found = measure_drift(frames[0], frames[1], known)

@@ -7,11 +7,12 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from pipeline.acquisition import session
-from pipeline.acquisition.capture_folder import CALIBRATION, LOG, SETTINGS, CapturePlan, CaptureProgress
+from pipeline.acquisition.capture_folder import CALIBRATION, SETTINGS, CapturePlan, CaptureProgress
 from pipeline.acquisition.chosen_rig import choose_rig
 from pipeline.acquisition.session import CaptureSummary, Stopping
 from pipeline.cli.console import Arch, SettingsFile, above_zero, read_settings, remark, say, stderr, steps
 from pipeline.errors import SettingsError
+from pipeline.footage.frame_times import LOG
 
 #: Exit code where it was stopped before all bursts were there.
 _STOPPED = 130

@@ -29,8 +29,8 @@ from pipeline.cli.console import (
 )
 from pipeline.cli.export import MeshChoice, write_frames
 from pipeline.errors import FootageError, SettingsError
+from pipeline.footage.footage import StoredAs
 from pipeline.footage.image_folder import is_footage
-from pipeline.footage.source import StoredAs
 from pipeline.models import CodeChoice
 from pipeline.output.folder import STORE, refuse_others
 from pipeline.output.formats.table import FORMATS, Kind

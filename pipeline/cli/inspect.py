@@ -9,7 +9,7 @@ from cyclopts import Parameter
 from rich.table import Table
 
 from pipeline.cli.console import Arch, SettingsFile, read_calibration, read_settings, say, stdout, steps
-from pipeline.footage.source import StoredAs
+from pipeline.footage.footage import StoredAs
 
 if TYPE_CHECKING:
     from pipeline.diagnosis.footage_inspection import Inspection

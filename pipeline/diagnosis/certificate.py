@@ -36,8 +36,8 @@ from pipeline.decoding.frame import DecodedFrame
 from pipeline.diagnosis.artefacts import BallBar, Plate, Position, Volume
 from pipeline.diagnosis.picture_reader import PictureReader
 from pipeline.errors import CalibrationError
-from pipeline.footage.opening import open_source
-from pipeline.footage.source import Source
+from pipeline.footage.footage import Footage
+from pipeline.footage.opening import open_footage
 from pipeline.models import FloatArray
 from pipeline.robust import fit_plane, fit_sphere
 from pipeline.settings import DecodeSettings
@@ -121,7 +121,7 @@ class Flat(Fit):
         return float(np.arccos(min(abs(cv2.Rodrigues(asked.turn)[0][:, 2] @ self.normal), 1.0)))
 
 
-def open_pictures(folder: Path, positions: Sequence[Position]) -> Source:
+def open_pictures(folder: Path, positions: Sequence[Position]) -> Footage:
     """Open the pictures of artefacts in their positions.
 
     Raises
@@ -134,7 +134,7 @@ def open_pictures(folder: Path, positions: Sequence[Position]) -> Source:
     if missing:
         more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
         raise CalibrationError(f"{folder} lacks {missing[0].name}.png{more}: {missing[0].line}")
-    return open_source(folder, listed=[found[position.name].name for position in positions])
+    return open_footage(folder, listed=[found[position.name].name for position in positions])
 
 
 def under_cells(calibration: Calibration) -> Calibration:
@@ -149,7 +149,7 @@ def under_cells(calibration: Calibration) -> Calibration:
 
 
 def certify(
-    source: Source,
+    source: Footage,
     bar: BallBar,
     reference_mm: float,
     calibration: Calibration,
@@ -161,7 +161,7 @@ def certify(
 
     Parameters
     ----------
-    source : Source
+    source : Footage
         The pictures, in the order of `positions_in`.
     bar : BallBar
         The reference.

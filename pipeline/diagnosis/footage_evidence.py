@@ -22,7 +22,7 @@ from pipeline.diagnosis.channel_spectra import KnownLight
 from pipeline.diagnosis.frame_sequence import MIN_FRAMES, SequenceDiagnosis, diagnose_sequence
 from pipeline.diagnosis.ripple import Diagnosis, diagnose
 from pipeline.errors import DecodeWarning, FootageError
-from pipeline.footage.source import BadFrame, Source, StoredAs, StoredFrame
+from pipeline.footage.footage import BadFrame, Footage, StoredAs, StoredFrame
 from pipeline.models import FloatArray
 from pipeline.settings import DecodeSettings
 from tikernels import runtime
@@ -241,7 +241,7 @@ class Scale(NamedTuple):
     mm_per_rad: float  # of depth, along the pixels' rays
 
 
-def measure_scale(source: Source, settings: DecodeSettings, calibration: Calibration, arch: str) -> Scale | None:
+def measure_scale(source: Footage, settings: DecodeSettings, calibration: Calibration, arch: str) -> Scale | None:
     """Return the scale in the middle frame; None if it shows nothing.
 
     Raises
@@ -347,13 +347,13 @@ class FootageEvidence:
 
 
 def gather_evidence(
-    source: Source, says: StoredAs, settings: DecodeSettings, arch: str, tell: Callable[[str], None]
+    source: Footage, says: StoredAs, settings: DecodeSettings, arch: str, tell: Callable[[str], None]
 ) -> FootageEvidence:
     """Look at frames all over some footage: pairs of neighbours, and a longer run in its middle.
 
     Parameters
     ----------
-    source : Source
+    source : Footage
         The footage.
     says : StoredAs
         The user's statement of how pixels are stored.
@@ -381,7 +381,7 @@ class _Gatherer:
     """Looks at one frame after another, and keeps what they show."""
 
     def __init__(
-        self, source: Source, says: StoredAs, settings: DecodeSettings, arch: str, tell: Callable[[str], None]
+        self, source: Footage, says: StoredAs, settings: DecodeSettings, arch: str, tell: Callable[[str], None]
     ) -> None:
         self.seen = FootageEvidence(settings)
         self._source, self._says, self._arch, self._tell = source, says, arch, tell
@@ -487,7 +487,7 @@ def _runs(n_frames: int) -> list[range]:
     return sorted({*clear, middle}, key=lambda run: run.start)
 
 
-def bits_of(source: Source) -> int:
+def bits_of(source: Footage) -> int:
     """Return how many bits distinguish levels; floats are as fine as their mantissa."""
     return 24 if source.format.bits == FLOAT_BITS else source.format.bits
 

@@ -22,9 +22,9 @@ from pipeline.diagnosis.footage_evidence import (
     stands_still,
 )
 from pipeline.diagnosis.ripple import BANDS
+from pipeline.footage.footage import Footage, StoredAs
 from pipeline.footage.image_folder import ImageFolder
-from pipeline.footage.opening import open_source
-from pipeline.footage.source import Source, StoredAs
+from pipeline.footage.opening import open_footage
 from pipeline.footage.video_file import VideoFile, films
 from pipeline.planning.motion_cost import USUAL_SPEED_MM_S, motion_costs
 from pipeline.settings import DecodeSettings
@@ -81,7 +81,7 @@ class ContainerFacts:
     gaps: int  # in how many places
 
 
-def container_facts(path: Path, source: Source) -> ContainerFacts:
+def container_facts(path: Path, source: Footage) -> ContainerFacts:
     """Return the facts that the container of an open source states."""
     width, height = source.size_px
     if isinstance(source, VideoFile):
@@ -151,7 +151,7 @@ def _finding(
     return FootageFinding(topic, found, cost_rad, grade, "" if grade == "fine" else advice)
 
 
-def container_findings(facts: ContainerFacts, source: Source) -> Iterator[FootageFinding]:
+def container_findings(facts: ContainerFacts, source: Footage) -> Iterator[FootageFinding]:
     """Yield the container's facts, and what is missing from the file."""
     width, height = source.size_px
     rate = "" if facts.rate_hz is None else f", {facts.rate_hz:.4g} a second"
@@ -245,7 +245,7 @@ def fringe_findings(seen: FootageEvidence, typical: FrameQuality) -> Iterator[Fo
 
 
 def storage_findings(
-    seen: FootageEvidence, facts: ContainerFacts, source: Source, typical: FrameQuality
+    seen: FootageEvidence, facts: ContainerFacts, source: Footage, typical: FrameQuality
 ) -> Iterator[FootageFinding]:
     """Yield what codec, chroma and levels cost."""
     # The codec's part of the noise: what neither the camera's noise, as far as the codec has left it, nor levels make.
@@ -420,7 +420,7 @@ def _drift_findings(seen: FootageEvidence) -> Iterator[FootageFinding]:
     )
 
 
-def not_told(seen: FootageEvidence, facts: ContainerFacts, source: Source) -> Iterator[str]:
+def not_told(seen: FootageEvidence, facts: ContainerFacts, source: Footage) -> Iterator[str]:
     """Yield what these frames cannot show, one sentence each."""
     if facts.lossy:
         yield "the camera's own noise: the codec has removed some of it"
@@ -487,7 +487,7 @@ def inspect_footage(
     Parameters
     ----------
     path : str or Path
-        What `open_source` opens.
+        What `open_footage` opens.
     says : StoredAs, optional
         What the user says of how pixels are stored.
     settings : DecodeSettings, optional
@@ -510,7 +510,7 @@ def inspect_footage(
     """
     says, settings = says or StoredAs(), settings or DecodeSettings()
     tell("opening")
-    source = open_source(path, **vars(says))
+    source = open_footage(path, **vars(says))
     try:
         runtime.init(arch)
         facts = container_facts(Path(path), source)

@@ -6,7 +6,7 @@ from pipeline.calibration.model import Calibration
 from pipeline.decoder import Decoder
 from pipeline.decoding.frame import DecodedFrame
 from pipeline.errors import FootageError
-from pipeline.footage.source import BadFrame, Source
+from pipeline.footage.footage import BadFrame, Footage
 from pipeline.models import CodeName, ImageArray
 from pipeline.settings import DecodeSettings
 from tikernels import runtime
@@ -17,7 +17,7 @@ from tikernels.raw.linearization import Transfer
 class PictureReader:
     """Reads frames and decodes them; what the settings leave open, the calibration says."""
 
-    def __init__(self, source: Source, calibration: Calibration, settings: DecodeSettings, arch: str) -> None:
+    def __init__(self, source: Footage, calibration: Calibration, settings: DecodeSettings, arch: str) -> None:
         self.calibration = calibration = calibration.as_read_out(source.size_px, source.sensor, source.name)
         if calibration.pattern is not None and "stripes" not in settings.model_fields_set:
             settings = settings.model_copy(update={"stripes": calibration.pattern.stripes})
@@ -34,7 +34,7 @@ class PictureReader:
         return self._decoder.code
 
     @classmethod
-    def of_one(cls, source: Source, calibration: Calibration, settings: DecodeSettings, arch: str) -> "PictureReader":
+    def of_one(cls, source: Footage, calibration: Calibration, settings: DecodeSettings, arch: str) -> "PictureReader":
         """Return a reader of one picture.
 
         Raises

@@ -24,7 +24,7 @@ from pipeline.diagnosis.frame_sequence import MIN_FRAMES, SequenceDiagnosis, dia
 from pipeline.diagnosis.picture_reader import PictureReader
 from pipeline.diagnosis.ripple import Diagnosis, diagnose, other_transfer
 from pipeline.errors import CalibrationError, DecodeWarning
-from pipeline.footage.source import Source
+from pipeline.footage.footage import Footage
 from pipeline.models import CameraState, FloatArray, ImageArray
 from pipeline.robust import fit_plane, fit_sphere, robust_sigma
 from pipeline.settings import DecodeSettings
@@ -386,7 +386,7 @@ class PictureCheck:
 
 
 def check_picture(
-    source: Source,
+    source: Footage,
     calibration: Calibration,
     settings: DecodeSettings,
     arch: str = "auto",
@@ -397,7 +397,7 @@ def check_picture(
 
     Parameters
     ----------
-    source : Source
+    source : Footage
         The picture, opened.
     calibration : Calibration
         The one in doubt.
@@ -436,7 +436,7 @@ def check_picture(
 
 
 def check_sequence(
-    source: Source, calibration: Calibration, settings: DecodeSettings, arch: str = "auto"
+    source: Footage, calibration: Calibration, settings: DecodeSettings, arch: str = "auto"
 ) -> tuple[int, SequenceDiagnosis]:
     """Return how many frames there are, and what they show of beat and motion.
 

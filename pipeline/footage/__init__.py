@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING
 from tikernels.lazy_names import lazily
 
 if TYPE_CHECKING:
+    from pipeline.footage.footage import BadFrame, Footage, StoredAs, StoredFrame
     from pipeline.footage.image_file import read_image
-    from pipeline.footage.opening import open_source
-    from pipeline.footage.source import BadFrame, Source, StoredAs, StoredFrame
+    from pipeline.footage.opening import open_footage
 
-__all__ = ["BadFrame", "Source", "StoredAs", "StoredFrame", "open_source", "read_image"]
+__all__ = ["BadFrame", "Footage", "StoredAs", "StoredFrame", "open_footage", "read_image"]
 __getattr__, __dir__ = lazily(__name__)

@@ -11,8 +11,8 @@ from typing import Any, cast
 import numpy as np
 
 from pipeline.errors import FootageError
+from pipeline.footage.footage import GREY, StoredAs
 from pipeline.footage.picture_tags import H273_MATRICES, H273_OTHERS, H273_TRANSFERS
-from pipeline.footage.source import GREY, StoredAs
 from pipeline.footage.tiff_file import PALETTE
 from pipeline.models import ImageArray
 from tikernels.raw.pixel_format import FLOAT_BITS, Bayer, PixelFormat, Siting

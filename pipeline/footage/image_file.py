@@ -228,7 +228,7 @@ def read_turned(path: Path) -> tuple[ImageArray, int]:
             planes, format, tags = read_heic(data)
         if format.layout != "rgb":
             raise FootageError(
-                f"{path}: its colours have half the resolution: open_source and develop interpolate them"
+                f"{path}: its colours have half the resolution: open_footage and develop interpolate them"
             )
         return planes[0], tags.orientation
     if (unfit := unfit_colors(data)) is not None:

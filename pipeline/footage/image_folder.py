@@ -12,6 +12,7 @@ import cv2
 
 from pipeline.errors import FootageError
 from pipeline.footage.ffmpeg_frames import stored_planes
+from pipeline.footage.footage import GREY, BadFrame, Footage, Frames, StoredAs, StoredFrame, other_than_first, turned
 from pipeline.footage.heic_file import is_heic, read_heic
 from pipeline.footage.image_file import PlaneDecoder, decode_levels, read_bytes, read_picture, tiff_pages
 from pipeline.footage.picture_tags import (
@@ -25,7 +26,6 @@ from pipeline.footage.picture_tags import (
     stored_bits,
     unfit_colors,
 )
-from pipeline.footage.source import GREY, BadFrame, Frames, StoredAs, StoredFrame, other_than_first, turned
 from pipeline.footage.tiff_file import TIFF_MARKS, Tag, read_directory, select_page
 from pipeline.limits import open_plain
 from pipeline.models import ImageArray, SensorPart
@@ -46,8 +46,8 @@ def natural_key(name: str) -> tuple[list[int | str], str]:
     return (parts, name)
 
 
-class ImageFolder:
-    """Image files of one folder, each read when its turn comes; a `Source`.
+class ImageFolder(Footage):
+    """Image files of one folder, each read when its turn comes.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ class ImageFolder:
         return len(self.names)
 
     def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Frames:
-        """Yield frames by number; see `Source`."""
+        """Yield frames by number; see `Footage`."""
         for number in range(len(self))[start:stop:step]:
             try:
                 planes, format, tags = self._read(number)
@@ -142,11 +142,8 @@ class ImageFolder:
                 yield StoredFrame(number, planes, format)
 
     def files(self) -> list[Path]:
-        """Return the pictures' files; see `Source`."""
+        """Return the pictures' files; see `Footage`."""
         return [self._folder / name for name in (self.names if self._stack is None else self.names[:1])]
-
-    def close(self) -> None:
-        """Do nothing: no file is open between two frames."""
 
     def _read(self, number: int) -> tuple[tuple[ImageArray, ...], PixelFormat, PictureTags]:
         """Return a picture's planes as it is to be seen, how they are stored, and what its file says."""

@@ -9,9 +9,12 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from pipeline.errors import FootageError
 from pipeline.footage.ffmpeg_frames import caught_messages, orientation_of, stored_planes, transfer_of, views_of
-from pipeline.footage.source import BadFrame, Frames, StoredAs, StoredFrame, other_than_first, turned
+from pipeline.footage.footage import BadFrame, Footage, Frames, StoredAs, StoredFrame, other_than_first, turned
+from pipeline.footage.frame_times import LOG, FrameTimes
 from pipeline.footage.zarr_recording import RecordingTags, rate_of
 from pipeline.limits import check_size, ffmpeg_limits
 from pipeline.models import SensorPart, build
@@ -39,8 +42,8 @@ _TURNS = {
 _END: tuple[int, Any] = (-1, None)
 
 
-class VideoFile:
-    """A video file, by FFmpeg through PyAV; a `Source`.
+class VideoFile(Footage):
+    """A video file, by FFmpeg through PyAV.
 
     Frames are numbered by their order in time, whatever their time stamps are worth.
 
@@ -71,7 +74,6 @@ class VideoFile:
             raise FootageError(f"{path} is empty: copy it again")
         with self._opened() as (container, stream):
             tags, self._says = _tagged(container.metadata, says)
-            self.is_recording = tags is not None
             self._rate_hz = None if tags is None else tags.rate_hz
             self.sensor = None if tags is None else tags.sensor
             self._stamp_s = float(stream.time_base or 0)
@@ -105,16 +107,21 @@ class VideoFile:
         return [stamp for number, stamp in sorted(shown) if number >= 0]
 
     @property
-    def times_s(self) -> list[float]:
-        """When each frame is to be shown, s since the first; empty where nothing tells."""
+    def times(self) -> FrameTimes | None:
+        """When each frame was taken, by a recording's capture log, or is to be shown; see `Footage`."""
+        if self._rate_hz is not None:
+            logged = FrameTimes.logged(Path(self.name).parent / LOG, len(self))
+            if logged is not None:
+                return logged
         stamps = self.stamps
-        times = [(stamp - stamps[0]) * self._stamp_s for stamp in stamps]
-        if self._rate_hz is None:
-            return times
-        return [float(round(time * self._rate_hz) / self._rate_hz) for time in times]  # stamps are rounded to ms
+        seconds = [(stamp - stamps[0]) * self._stamp_s for stamp in stamps]
+        if self._rate_hz is not None:  # stamps are rounded to ms
+            seconds = [float(round(time * self._rate_hz) / self._rate_hz) for time in seconds]
+        times = FrameTimes(np.array(seconds, np.float64), None)
+        return times if len(seconds) == len(self) and times.ascend else None
 
     def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Frames:
-        """Yield frames by number; see `Source`."""
+        """Yield frames by number; see `Footage`."""
         wanted = range(len(self))[start:stop:step]
         reasons: dict[int, str] = {}
         due = 0  # of those wanted
@@ -138,7 +145,7 @@ class VideoFile:
                 due += 1
 
     def files(self) -> list[Path]:
-        """Return the one file; see `Source`."""
+        """Return the one file; see `Footage`."""
         return [Path(self.name)]
 
     def close(self) -> None:

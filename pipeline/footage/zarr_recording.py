@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from pipeline.errors import DamageError, FootageError
-from pipeline.footage.source import BadFrame, Frames, StoredAs, StoredFrame
+from pipeline.footage.footage import BadFrame, Footage, Frames, StoredAs, StoredFrame
+from pipeline.footage.frame_times import LOG, FrameTimes
 from pipeline.limits import check_missing, check_size, read_plain, read_text
 from pipeline.models import SensorPart, build
 from pipeline.zarr_chunks import chunk_bytes, chunk_key, decode_chunk
@@ -64,8 +65,8 @@ class RecordingTags:
             raise ShapeError(f"transfer is {self.transfer!r}: choose {', '.join(TRANSFERS)}")
 
 
-class ZarrRecording:
-    """A recording in a Zarr group; a `Source`.
+class ZarrRecording(Footage):
+    """A recording in a Zarr group.
 
     Parameters
     ----------
@@ -79,9 +80,6 @@ class ZarrRecording:
     FootageError
         It is not a recording, of a later version, or damaged.
     """
-
-    notes: tuple[str, ...] = ()
-    is_recording = True
 
     def __init__(self, path: Path, says: StoredAs) -> None:
         import zarr  # slow to import, and only needed here
@@ -131,21 +129,21 @@ class ZarrRecording:
         return self._n_frames
 
     @property
-    def times_s(self) -> list[float]:
-        """When each frame was taken by the recording's rate, s since the first."""
-        return [float(number / self.rate_hz) for number in range(len(self))]
+    def times(self) -> FrameTimes:
+        """When each frame was taken, by the capture's log or the recording's rate; see `Footage`."""
+        logged = FrameTimes.logged(self._path.parent / LOG, len(self))
+        if logged is not None:
+            return logged
+        return FrameTimes(np.array([float(number / self.rate_hz) for number in range(len(self))]), None)
 
     def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Frames:
-        """Yield frames by number; see `Source`."""
+        """Yield frames by number; see `Footage`."""
         for number in range(len(self))[start:stop:step]:
             yield self._read(number)
 
     def files(self) -> list[Path]:
-        """Return the frames' chunks; see `Source`."""
+        """Return the frames' chunks; see `Footage`."""
         return [self._path / FRAMES / chunk_key(number, len(self._shape)) for number in range(len(self))]
-
-    def close(self) -> None:
-        """Do nothing: no file is open between two frames."""
 
     def _read(self, number: int) -> StoredFrame | BadFrame:
         chunk = self._path / FRAMES / chunk_key(number, len(self._shape))

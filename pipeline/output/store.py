@@ -22,7 +22,7 @@ from pipeline.decoding.frame import FIELDS, DecodedFrame
 from pipeline.decoding.labels import COORDINATES
 from pipeline.errors import DamageError, OutputError, SettingsError
 from pipeline.files import make_folder
-from pipeline.footage.opening import FrameTimes
+from pipeline.footage.frame_times import FrameTimes
 from pipeline.output.store_files import (
     DONE,
     LEVEL,

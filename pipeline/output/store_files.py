@@ -38,7 +38,7 @@ from pipeline.decoding.labels import (
 )
 from pipeline.errors import DamageError, OutputError
 from pipeline.files import LEFTOVER, explain, replace_file, sync
-from pipeline.footage.opening import FrameTimes
+from pipeline.footage.frame_times import FrameTimes
 from pipeline.limits import MOST_FRAMES, check_size, read_plain
 from pipeline.output.store_model import ArraySays, GroupSays, StoreAttributes, parsed
 from pipeline.zarr_chunks import (

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from pipeline.errors import FootageError, OutputError
 from pipeline.files import explain, make_folder, replace_file
-from pipeline.footage.source import BadFrame, StoredAs
+from pipeline.footage.footage import BadFrame, StoredAs
 from pipeline.footage.video_file import BAYER_TAG, BITS_TAG, RATE_TAG, SENSOR_TAG
 from pipeline.footage.zarr_recording import ZarrRecording
 from pipeline.models import ImageArray

@@ -35,7 +35,7 @@ from pipeline import Decoder, DecodeSettings
 from pipeline.batch.executors import usable_cores
 from pipeline.batch.job import Job
 from pipeline.batch.run import decode_footage
-from pipeline.footage.source import StoredAs
+from pipeline.footage.footage import StoredAs
 from pipeline.output.range_image import write_png
 from pipeline.simulation import DEFAULT_PERIOD_PX, TYPICAL_CROSSTALK, SimulationSettings, simulate_frame, simulated_rig
 from tikernels import runtime

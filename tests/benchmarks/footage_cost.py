@@ -20,8 +20,8 @@ from support.video_files import H264, MJPEG, encode, film
 
 from pipeline import Calibration, Decoder, DecodeSettings
 from pipeline.errors import DecodeWarning
-from pipeline.footage.opening import open_source
-from pipeline.footage.source import StoredFrame
+from pipeline.footage.footage import StoredFrame
+from pipeline.footage.opening import open_footage
 from pipeline.output.report import measure_against_truth
 from pipeline.recording.recorder import Recorder
 from pipeline.simulation import WHITE, SimulatedFrame, SimulationSettings, simulate_frame, simulated_rig
@@ -40,7 +40,7 @@ LEFT = PixelFormat("yuv", subsampling=(2, 2), siting="left", matrix="bt601")
 
 def read(path: Path, stripes: str, number: int, **said: Any) -> Any:
     """Return one frame of a source as the decoder takes it."""
-    (frame,) = open_source(path, **said).frames(number, number + 1)
+    (frame,) = open_footage(path, **said).frames(number, number + 1)
     if not isinstance(frame, StoredFrame):
         raise RuntimeError(frame.reason)
     return np.array(develop(frame.planes, frame.format, stripes=stripes))

@@ -21,7 +21,7 @@ from support.command_line import command
 from support.recorded_footage import contents, kill_again_and_again, record
 
 from pipeline.errors import FootageError
-from pipeline.footage.opening import open_source
+from pipeline.footage.opening import open_footage
 from pipeline.verification import verify
 from tikernels import runtime
 
@@ -112,7 +112,7 @@ def _finished(out: Path) -> int | str:
     logged = [event["frame"] for event in events if event["event"] == "frame"]
     n_frames = 0
     if recordings:
-        source = open_source(recordings[0])
+        source = open_footage(recordings[0])
         n_frames = len(source)
         source.close()
     return n_frames if logged == list(range(n_frames)) else f"{n_frames} frames, and in the log {logged[-5:]}"

@@ -29,8 +29,8 @@ from support.symptom_words import what_is_said
 
 from pipeline import Decoder, DecodeSettings
 from pipeline.decoding.frame import DecodedFrame
-from pipeline.footage.opening import open_source
-from pipeline.footage.source import StoredFrame
+from pipeline.footage.footage import StoredFrame
+from pipeline.footage.opening import open_footage
 from pipeline.output.pictures.picture_overlay import ColorScale
 from pipeline.output.range_image import depth_colors, shade_range
 from pipeline.simulation import SimulatedFrame
@@ -236,7 +236,7 @@ def draw_edges() -> None:
 def _read_again(symptom: Symptom) -> Symptom:
     """Return a symptom with the linear light that its file holds."""
     with tempfile.TemporaryDirectory() as folder:
-        (stored,) = open_source(symptom.write(Path(folder))).frames()
+        (stored,) = open_footage(symptom.write(Path(folder))).frames()
     assert isinstance(stored, StoredFrame)
     levels = runtime.to_host(linearize(develop(stored.planes, stored.format), "srgb"))
     return replace(symptom, image=np.asarray(np.rint(255 * levels), np.uint8), jpeg_quality=None)

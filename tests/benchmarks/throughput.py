@@ -27,7 +27,7 @@ from pipeline.batch.job import Job
 from pipeline.batch.run import decode_footage
 from pipeline.batch.worker import _WRITERS
 from pipeline.decoding.front_side import RimVotes
-from pipeline.footage.source import StoredAs
+from pipeline.footage.footage import StoredAs
 from pipeline.output.store import chosen_fields
 from tikernels import runtime
 

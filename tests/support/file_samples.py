@@ -26,9 +26,9 @@ from pipeline.calibration import Calibration, Pattern
 from pipeline.calibration.color_chart import read_spectra
 from pipeline.calibration.foreign import read_foreign
 from pipeline.errors import DamageError
+from pipeline.footage.footage import StoredFrame
 from pipeline.footage.image_file import read_image
-from pipeline.footage.opening import open_source
-from pipeline.footage.source import StoredFrame
+from pipeline.footage.opening import open_footage
 from pipeline.output.formats.ros_bag import write_bag
 from pipeline.output.formats.table import FORMATS, encode_as
 from pipeline.output.mesh import Mesh
@@ -86,7 +86,7 @@ def _read_picture(path: Path) -> Reading:
 
 
 def _read_frames(path: Path) -> Reading:
-    source = open_source(path)
+    source = open_footage(path)
     parts, told = {}, bool(source.notes)
     for frame in source.frames(0, 40):
         if isinstance(frame, StoredFrame):

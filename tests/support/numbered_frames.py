@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.footage.opening import open_source
+from pipeline.footage.opening import open_footage
 from pipeline.recording.recorder import Recorder
 from tikernels.raw.pixel_format import PixelFormat
 
@@ -53,7 +53,7 @@ def rgb(planes, format):
 
 def held(path):
     """Return how many frames a recording holds, having compared each with what was recorded."""
-    source = open_source(path)
+    source = open_footage(path)
     assert source.notes == ()
     frames = list(source.frames())
     assert [frame.number for frame in frames] == list(range(len(source)))

@@ -12,7 +12,7 @@ from support.command_line import command
 
 from pipeline.batch.job import Job
 from pipeline.calibration import Calibration
-from pipeline.footage.source import StoredAs
+from pipeline.footage.footage import StoredAs
 from pipeline.output.store import chosen_fields
 from pipeline.recording.recorder import Recorder
 from pipeline.settings import DecodeSettings

@@ -6,22 +6,31 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.footage.source import BadFrame, StoredFrame
+from pipeline.footage.footage import BadFrame, Footage, StoredFrame
 from tikernels.raw.pixel_format import PixelFormat
 
 Picture = npt.NDArray[np.float64]
 
 
-class InMemory:
-    """Frames of a list as a `Source`; None stands for a damaged one."""
+class InMemory(Footage):
+    """Frames of a list; None stands for a damaged one."""
 
-    sensor = None
+    sensor = transfer = None
 
     def __init__(self, images, format=None, name="film"):
         self.name, self._images, self.format = name, images, format or PixelFormat("rgb")
 
     def __len__(self):
         return len(self._images)
+
+    @property
+    def size_px(self):
+        """Width and height of the first good image."""
+        return next(image.shape[1::-1] for image in self._images if image is not None)
+
+    def files(self):
+        """Return none: they are in memory."""
+        return []
 
     def frames(self, start=0, stop=None, step=1):
         """Yield frames by number."""

@@ -29,7 +29,7 @@ from pipeline import Calibration, DecodedFrame, Decoder, DecodeSettings
 from pipeline.batch.job import with_transfer_of
 from pipeline.calibration.model import choose_pattern
 from pipeline.errors import DecodeWarning
-from pipeline.footage.opening import open_source
+from pipeline.footage.opening import open_footage
 from tikernels import runtime
 from tikernels.raw.development import develop
 from tikernels.raw.pixel_format import PixelFormat
@@ -91,7 +91,7 @@ def _by_file(
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "frame.jpg"
         cv2.imwrite(str(path), np.rint(encoded * 255).astype(np.uint8)[..., ::-1], options)
-        source = open_source(path)
+        source = open_footage(path)
         settings, _ = with_transfer_of(source, settings, calibration)
         (stored,) = source.frames()
         return develop(stored.planes, stored.format, stripes=settings.stripes), settings

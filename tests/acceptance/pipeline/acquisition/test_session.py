@@ -6,7 +6,7 @@ import time
 import pytest
 from support.command_line import command
 
-from pipeline.footage.opening import open_source
+from pipeline.footage.opening import open_footage
 
 
 def log_of(folder):
@@ -35,5 +35,5 @@ def test_the_command_stops_when_told_to(tmp_path, number):
     assert process.returncode == 0, stderr
     assert "frames of" in stdout and "Traceback" not in stderr
     n_frames = sum(line["event"] == "frame" for line in log_of(out))
-    assert n_frames == len(open_source(out / "recording.zarr")) > 0
+    assert n_frames == len(open_footage(out / "recording.zarr")) > 0
     assert log_of(out)[-1]["event"] == "end"

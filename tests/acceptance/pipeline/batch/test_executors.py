@@ -19,7 +19,7 @@ from pipeline.batch import executors
 from pipeline.batch.job import CHAIN_FRAMES, Job
 from pipeline.batch.run import decode_footage
 from pipeline.errors import ClusterError, FootageError, OutputError
-from pipeline.footage.source import StoredAs
+from pipeline.footage.footage import StoredAs
 from pipeline.output.store import chosen_fields
 from tikernels import runtime
 

@@ -13,7 +13,7 @@ from support.recorded_footage import contents, kill_again_and_again, record
 from pipeline import DecodeSettings
 from pipeline.batch.job import Job
 from pipeline.batch.run import decode_footage
-from pipeline.footage.source import StoredAs
+from pipeline.footage.footage import StoredAs
 from pipeline.output.store import chosen_fields
 
 pytestmark = pytest.mark.usefixtures("cpu")

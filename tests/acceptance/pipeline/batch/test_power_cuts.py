@@ -10,8 +10,8 @@ from support.recorded_footage import job_of, record
 
 from pipeline.batch.run import decode_footage
 from pipeline.errors import FootageError
-from pipeline.footage.opening import open_source
-from pipeline.footage.source import StoredFrame
+from pipeline.footage.footage import StoredFrame
+from pipeline.footage.opening import open_footage
 from pipeline.output.stored_result import StoredResult
 from pipeline.recording.recorder import Recorder
 
@@ -88,7 +88,7 @@ def test_recordings(tmp_path, monkeypatch, disk):
         n_held = 0
         if (left / "a.part.zarr").exists():
             try:
-                source = open_source(left / "a.part.zarr")
+                source = open_footage(left / "a.part.zarr")
             except FootageError:
                 pass  # nothing has been committed
             else:

@@ -11,7 +11,7 @@ from support.video_files import H264, encode, flip
 
 from pipeline.diagnosis.footage_inspection import inspect_footage
 from pipeline.errors import FootageError
-from pipeline.footage.source import StoredAs
+from pipeline.footage.footage import StoredAs
 from pipeline.recording.recorder import Recorder
 from pipeline.recording.video_export import export_video
 from pipeline.settings import DecodeSettings

@@ -18,8 +18,8 @@ from support.video_matrix import Film, films, taken_out, write
 
 from pipeline import Decoder, DecodeSettings
 from pipeline.errors import FootageError
-from pipeline.footage.opening import open_source
-from pipeline.footage.source import StoredFrame
+from pipeline.footage.footage import StoredFrame
+from pipeline.footage.opening import open_footage
 from pipeline.output.report import measure_against_truth
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
 from tikernels.raw.development import develop
@@ -65,7 +65,7 @@ def outcome(path: Path, says: dict[str, Any], wanted: Any, bench: Bench, note: s
     It should hold a picture in 0..1, whose light is encoded in a way, or be refused for a reason.
     """
     try:
-        source = open_source(path, **says)
+        source = open_footage(path, **says)
         frames = list(source.frames())
     except FootageError as error:
         named = isinstance(wanted, str) and wanted in str(error) and "\n" not in str(error)
@@ -131,7 +131,7 @@ def test_planes_of_webp_are_better_than_its_rgb(tmp_path):
     bench = Bench()
     path = tmp_path / "lossy.webp"
     path.write_bytes(pil(bench.levels.srgb, "WEBP", quality=100))
-    source = open_source(path)
+    source = open_footage(path)
     (frame,) = source.frames()
     found = bench.phase_error(develop(frame.planes, frame.format), source.transfer)
     assert found < 0.9 * bench.phase_error(cv2.imread(str(path))[..., ::-1], source.transfer)

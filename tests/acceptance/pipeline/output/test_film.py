@@ -11,7 +11,7 @@ from support.drawn_surfaces import dome, read_film, require_drawing, shown
 from support.stored_planes import store
 
 from pipeline.errors import FootageError, OutputError, RenderError
-from pipeline.footage.opening import open_source
+from pipeline.footage.opening import open_footage
 from pipeline.output import film
 from pipeline.output.film import FilmEncoder, join_parts, render_film
 from pipeline.output.pictures import drawing_process
@@ -211,7 +211,7 @@ def test_colors_are_those_that_were_drawn(tmp_path, monkeypatch, codec, size, cp
         encoder.add(np.full((*size[::-1], 3), color, np.uint8))
     assert encoder.codec == codec
     join_parts([(tmp_path / "part.mp4", 1)], tmp_path / "film.mp4", 30)
-    source = open_source(tmp_path / "film.mp4")
+    source = open_footage(tmp_path / "film.mp4")
     (frame,) = source.frames()
     assert source.notes == ()
     np.testing.assert_allclose(255 * develop(frame.planes, frame.format)[size[1] // 2, size[0] // 2], color, atol=3)

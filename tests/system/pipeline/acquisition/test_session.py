@@ -14,7 +14,7 @@ from pipeline.acquisition.capture_folder import CapturePlan
 from pipeline.acquisition.session import Stopping, capture_bursts
 from pipeline.calibration import Calibration
 from pipeline.errors import CalibrationError, OutputError, SettingsError
-from pipeline.footage.opening import open_source
+from pipeline.footage.opening import open_footage
 from pipeline.models import SensorPart
 from pipeline.recording.recorder import Recorder
 from pipeline.settings import DecodeSettings
@@ -38,7 +38,7 @@ def log_of(folder):
 
 def check_folder(bench, folder, n_bursts):
     """Every recorded frame is logged with the pulse that made it, burst by burst, and nothing else is there."""
-    source = open_source(folder / "recording.zarr")
+    source = open_footage(folder / "recording.zarr")
     frames = list(source.frames())
     logged = [line for line in log_of(folder) if line["event"] == "frame"]
     bursts = [line for line in log_of(folder) if line["event"] == "burst"]
@@ -202,7 +202,7 @@ def test_a_capture_knows_the_part_of_the_sensor_and_so_does_its_calibration(tmp_
     bench.open = open_and_say
     calibration = simulated_rig((128, 96)).model_copy(update={"sensor": whole})
     captured(bench, tmp_path / "out", CapturePlan(1), calibration=calibration)
-    assert open_source(tmp_path / "out" / "recording.zarr").sensor == part
+    assert open_footage(tmp_path / "out" / "recording.zarr").sensor == part
     kept = Calibration.read(tmp_path / "out" / "calibration.json")
     assert kept.digest() == calibration.cropped(8, 8, (96, 64)).digest()
 

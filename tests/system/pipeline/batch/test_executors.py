@@ -12,7 +12,7 @@ from pipeline.batch.executors import ProcessExecutor, idle_processes, worthwhile
 from pipeline.batch.job import Job, chains
 from pipeline.batch.run import decode_footage
 from pipeline.errors import FootageError, OutputError
-from pipeline.footage.source import StoredAs
+from pipeline.footage.footage import StoredAs
 from pipeline.processes import Child
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from pipeline.batch.one_frame import decode_picture
 from pipeline.errors import DecodeWarning, FootageError, OutputError
-from pipeline.footage.source import StoredAs
+from pipeline.footage.footage import StoredAs
 from pipeline.output.mesh_files import read_mesh
 from pipeline.output.range_image import write_png
 from pipeline.output.surface_mesh import MeshOptions
@@ -31,7 +31,7 @@ builtins.compile = noted
 warnings.simplefilter("ignore")
 from pathlib import Path
 from pipeline.batch.one_frame import decode_picture
-from pipeline.footage.source import StoredAs
+from pipeline.footage.footage import StoredAs
 from pipeline.output.surface_mesh import MeshOptions
 from pipeline.settings import DecodeSettings
 how = (DecodeSettings(), None, StoredAs(), "cpu", MeshOptions())

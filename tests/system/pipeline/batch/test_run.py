@@ -23,7 +23,7 @@ from pipeline.batch.run import Stopped, decode_footage
 from pipeline.decoding.frame import FIELDS
 from pipeline.decoding.front_side import RimVotes
 from pipeline.errors import CalibrationError, FootageError, OutputError, SettingsError
-from pipeline.footage.source import StoredAs
+from pipeline.footage.footage import StoredAs
 from pipeline.models import SensorPart
 from pipeline.output.range_image import write_png
 from pipeline.output.store import chosen_fields

@@ -14,8 +14,7 @@ from pipeline.batch import worker as workers
 from pipeline.batch.job import Job
 from pipeline.batch.worker import GoodFrame, Worker
 from pipeline.errors import OutputError
-from pipeline.footage.opening import frame_times
-from pipeline.footage.source import BadFrame, StoredAs
+from pipeline.footage.footage import BadFrame, StoredAs
 from pipeline.output.store_files import StoreFiles, marked_frames
 
 N_FRAMES = 6
@@ -49,7 +48,7 @@ def test_only_what_is_missing_is_stored_and_bad_frames_are_told(job, tmp_path):
 
 def test_a_frame_knows_how_long_after_the_last_one_it_comes(job, tmp_path, monkeypatch):
     """Where colours come one after another; frame 4 is missing."""
-    frame_s = float(np.diff(frame_times(job.open()).seconds).mean())
+    frame_s = float(np.diff(job.open().times.seconds).mean())
     job = replace(job, settings=DecodeSettings.of(frame_s=frame_s, fields={"cycle_s": frame_s}))
     job.make_store(job.open())
     (tmp_path / "film.zarr" / "frames" / "c.4.0.0.0").unlink()

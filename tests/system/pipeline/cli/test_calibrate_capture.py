@@ -12,7 +12,7 @@ from support.virtual_screen import screen
 
 from pipeline.calibration import Calibration, Pattern
 from pipeline.calibration.model import DEFAULT_PERIOD_PX
-from pipeline.footage.opening import open_source
+from pipeline.footage.opening import open_footage
 from pipeline.pattern import make_pattern
 
 MIX = np.array([[9, 1, 0], [1, 8, 1], [0, 1, 9]])
@@ -57,7 +57,7 @@ def test_the_light_of_a_screen_is_measured_through_a_driver_of_ones_own(tmp_path
     assert len(list((tmp_path / "captures" / "light").glob("*.png"))) == 33
     assert (tmp_path / "captures" / "guide.png").exists()
     # The capture has shown the pattern with the response undone: its light is sinusoidal.
-    (stored,) = open_source(tmp_path / "face" / "recording.zarr").frames()
+    (stored,) = open_footage(tmp_path / "face" / "recording.zarr").frames()
     assert Calibration.read(tmp_path / "face" / "calibration.json").pattern.compensated
     light = make_pattern((160, 120), Pattern(period_px=DEFAULT_PERIOD_PX, code="contrast"), None) @ MIX
     assert np.abs(stored.planes[0] / 255 - 0.02 - 0.08 * light).max() < 0.03

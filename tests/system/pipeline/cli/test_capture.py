@@ -8,7 +8,7 @@ from pipeline.acquisition import simulated_capture
 from pipeline.acquisition.capture_folder import CaptureProgress
 from pipeline.calibration import Calibration
 from pipeline.cli.capture import _frames, _line
-from pipeline.footage.opening import open_source
+from pipeline.footage.opening import open_footage
 
 SIMULATED = """
 [trigger]
@@ -54,7 +54,7 @@ def test_a_simulated_webcam_is_recorded_with_its_transfer(command, small, tmp_pa
     (tmp_path / "rig.toml").write_text(SIMULATED + 'serial = "webcam"', encoding="utf-8")
     ended, _, complained = command("capture", "--rig", "rig.toml", "--out", "face", "--arch", "cpu")
     assert ended == 0, complained
-    assert open_source(tmp_path / "face" / "recording.zarr").transfer == "srgb"
+    assert open_footage(tmp_path / "face" / "recording.zarr").transfer == "srgb"
     assert Calibration.read(tmp_path / "face" / "calibration.json").capture.transfer == "srgb"
 
 

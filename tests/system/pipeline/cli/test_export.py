@@ -8,7 +8,7 @@ from support.numbered_frames import record
 from support.stored_planes import store as planes
 
 from pipeline.cli.export import MeshChoice
-from pipeline.footage.opening import open_source
+from pipeline.footage.opening import open_footage
 from pipeline.output.mesh_files import read_mesh
 from pipeline.output.surface_mesh import MeshOptions
 from tikernels.raw.pixel_format import PixelFormat
@@ -102,7 +102,7 @@ def test_a_recording_becomes_a_video(command, tmp_path):
     assert (code, said) == (1, "") and "recording.mkv exists: choose another folder, or --force" in complained
     assert command(*wanted, "--force", "--out", "videos")[0] == command(*wanted, "--force")[0] == 0
     for path in (tmp_path / "recording.mkv", tmp_path / "videos" / "recording.mkv"):
-        for frame, kept in zip(open_source(path).frames(), frames, strict=True):
+        for frame, kept in zip(open_footage(path).frames(), frames, strict=True):
             np.testing.assert_array_equal(frame.planes[0], kept)
     code, said, complained = command("export", "recording.mkv", "--kind", "mkv", "--out", "more")
     assert (code, said) == (1, "") and "recording.mkv is not a recording of frames" in complained

@@ -10,7 +10,7 @@ from pipeline.diagnosis import rig_check
 from pipeline.diagnosis.rig_check import check_picture, check_sequence, holds_captures
 from pipeline.diagnosis.ripple import Diagnosis
 from pipeline.errors import CalibrationError, FootageError
-from pipeline.footage.opening import open_source
+from pipeline.footage.opening import open_footage
 from pipeline.models import CameraState
 from pipeline.output.range_image import write_png
 from pipeline.settings import DecodeSettings
@@ -33,12 +33,12 @@ def test_a_plane_is_flat_and_a_wrong_crosstalk_can_be_corrected(plane, tmp_path)
     image, rig = plane
     path = tmp_path / "plane.png"
     write_png(path, image)
-    found = check_picture(open_source(path), rig, DecodeSettings(), "cpu", "plane")
+    found = check_picture(open_footage(path), rig, DecodeSettings(), "cpu", "plane")
     assert found.surface is not None and found.surface.fine
     assert found.frame.mask.mean() > 0.5
     wrong = rig.model_copy(update={"crosstalk_matrix": np.eye(3)})
     with pytest.warns(match="the colours' fringes differ by"):
-        found = check_picture(open_source(path), wrong, DecodeSettings(), "cpu")
+        found = check_picture(open_footage(path), wrong, DecodeSettings(), "cpu")
     assert found.surface is None
     assert any("crosstalk" in finding.causes for finding in found.diagnosis.findings)
     # One frame tells what part of a channel's light leaks, to some hundredths of it.
@@ -59,13 +59,13 @@ def test_what_the_settings_leave_open_the_calibration_says(plane, tmp_path, monk
     rig = rig.model_copy(update={"capture": CameraState(transfer="srgb")})
     write_png(path, np.zeros_like(image))
     with pytest.warns(match="no fringe stands out"):
-        assert check_picture(open_source(path), rig, DecodeSettings(), "cpu") is None
+        assert check_picture(open_footage(path), rig, DecodeSettings(), "cpu") is None
     assert not asked
     write_png(path, image)
     with pytest.warns(match="no matrix explains"):  # the picture is linear
-        assert check_picture(open_source(path), rig, DecodeSettings(), "cpu").transfer == "srgb"
+        assert check_picture(open_footage(path), rig, DecodeSettings(), "cpu").transfer == "srgb"
     with pytest.warns(match="settings say that transfer is linear and the calibration has measured srgb: omit it"):
-        linear = check_picture(open_source(path), rig, DecodeSettings(transfer="linear"), "cpu")
+        linear = check_picture(open_footage(path), rig, DecodeSettings(transfer="linear"), "cpu")
     assert linear.transfer == "linear"
     assert [arguments[5] for arguments in asked] == ["srgb", "linear"]
     np.testing.assert_array_equal(asked[0][4].crosstalk_matrix, rig.crosstalk_matrix)
@@ -77,9 +77,9 @@ def test_frames_in_a_row(plane, tmp_path):
         write_png(tmp_path / f"{number}.png", image)
     assert not holds_captures(tmp_path)
     with pytest.raises(CalibrationError, match="holds 3 pictures: at least 12 frames in a row are needed"):
-        check_sequence(open_source(tmp_path), rig, DecodeSettings(), "cpu")
+        check_sequence(open_footage(tmp_path), rig, DecodeSettings(), "cpu")
     with pytest.raises(FootageError, match="holds 3 frames: give one picture"):
-        check_picture(open_source(tmp_path), rig, DecodeSettings(), "cpu")
+        check_picture(open_footage(tmp_path), rig, DecodeSettings(), "cpu")
 
 
 def test_a_picture_is_read_as_decoding_reads_it(tmp_path, cpu):
@@ -89,7 +89,7 @@ def test_a_picture_is_read_as_decoding_reads_it(tmp_path, cpu):
     rig = geometry.model_copy(update={"crosstalk_matrix": SimulationSettings().crosstalk_matrix})
     path = tmp_path / "plane.jpg"
     cv2.imwrite(str(path), truth.image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 95])
-    source = open_source(path)
+    source = open_footage(path)
     settings, _ = with_transfer_of(source, DecodeSettings(), rig)
     found = check_picture(source, rig, settings, "cpu", "plane")
     assert found.transfer == "srgb" and found.surface.fine

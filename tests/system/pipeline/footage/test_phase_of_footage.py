@@ -8,7 +8,7 @@ from support.video_files import H264, MJPEG, film
 
 from pipeline import Decoder, DecodeSettings
 from pipeline.errors import DecodeWarning
-from pipeline.footage.opening import open_source
+from pipeline.footage.opening import open_footage
 from pipeline.output.report import measure_against_truth
 from pipeline.recording.recorder import Recorder
 from pipeline.simulation import WHITE, SimulationSettings, simulate_frame, simulated_rig
@@ -42,7 +42,7 @@ class Study:
 
     def phase_error_of(self, path, number=0, **said):
         """Return the phase error of a frame of a file, rad."""
-        (frame,) = open_source(path, **said).frames(number, number + 1)
+        (frame,) = open_footage(path, **said).frames(number, number + 1)
         return self.phase_error(develop(frame.planes, frame.format, stripes=self.stripes))
 
 

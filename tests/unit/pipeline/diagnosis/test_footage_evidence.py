@@ -5,8 +5,8 @@ import pytest
 from support.numbered_frames import record
 
 from pipeline.diagnosis.footage_evidence import _runs, bits_of, gather_evidence
-from pipeline.footage.opening import open_source
-from pipeline.footage.source import StoredAs
+from pipeline.footage.footage import StoredAs
+from pipeline.footage.opening import open_footage
 from pipeline.recording.recorder import Recorder
 from pipeline.settings import DecodeSettings
 from tikernels.raw.pixel_format import PixelFormat
@@ -32,7 +32,7 @@ def test_noise_has_no_fringes_and_repeated_frames_are_counted(tmp_path):
         for _ in range(3):
             recorder.add(image)
     told = []
-    seen = gather_evidence(open_source(tmp_path / "a.zarr"), StoredAs(), DecodeSettings(), "cpu", told.append)
+    seen = gather_evidence(open_footage(tmp_path / "a.zarr"), StoredAs(), DecodeSettings(), "cpu", told.append)
     assert (seen.n_frames, seen.n_pairs, seen.repeats) == (3, 2, [1, 2])
     assert {number: why.key for number, why in seen.no_fringes.items()} == dict.fromkeys(range(3), "no fringe")
     assert told[-1] == "frame 2 (3 of 3)"
@@ -41,7 +41,7 @@ def test_noise_has_no_fringes_and_repeated_frames_are_counted(tmp_path):
 
 def test_floats_are_as_fine_as_their_mantissa(tmp_path):
     record(tmp_path / "a.zarr", PixelFormat("rgb", 12))
-    assert bits_of(open_source(tmp_path / "a.zarr")) == 12
+    assert bits_of(open_footage(tmp_path / "a.zarr")) == 12
     with Recorder(tmp_path / "b.zarr", PixelFormat("rgb", 32)) as recorder:
         recorder.add(np.zeros((16, 16, 3), np.float32))
-    assert bits_of(open_source(tmp_path / "b.zarr")) == 24
+    assert bits_of(open_footage(tmp_path / "b.zarr")) == 24

@@ -22,8 +22,8 @@ from pipeline.diagnosis.footage_inspection import (
     time_findings,
 )
 from pipeline.diagnosis.ripple import Diagnosis
-from pipeline.footage.opening import open_source
-from pipeline.footage.source import BadFrame
+from pipeline.footage.footage import BadFrame
+from pipeline.footage.opening import open_footage
 from pipeline.settings import DecodeSettings
 
 GOOD = FrameQuality(0.5, 0.012, 0.001, 0.013, 0.0, 0.0, 0.0)
@@ -31,7 +31,7 @@ LOSSLESS = ContainerFacts("matroska", "ffv1", "bgr0", False, False, 30.0, 8.0, 0
 
 
 def facts(path):
-    return container_facts(path, open_source(path))
+    return container_facts(path, open_footage(path))
 
 
 @pytest.mark.parametrize(
@@ -81,7 +81,7 @@ def test_a_video_says_its_codec_and_rate(tmp_path):
 @pytest.fixture
 def source(tmp_path):
     record(tmp_path / "a.zarr")
-    return open_source(tmp_path / "a.zarr")
+    return open_footage(tmp_path / "a.zarr")
 
 
 def seen(**changed):

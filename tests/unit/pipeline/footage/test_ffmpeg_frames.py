@@ -6,7 +6,7 @@ import pytest
 
 from pipeline.errors import FootageError
 from pipeline.footage.ffmpeg_frames import caught_messages, stored_planes, transfer_of
-from pipeline.footage.source import StoredAs
+from pipeline.footage.footage import StoredAs
 from tikernels.raw.development import develop
 from tikernels.raw.pixel_format import PixelFormat
 from tikernels.runtime import to_host

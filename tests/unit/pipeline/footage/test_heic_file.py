@@ -11,7 +11,7 @@ from support.missing import import_but_fail_in_ci
 from pipeline.errors import FootageError
 from pipeline.footage.heic_file import is_heic, read_heic
 from pipeline.footage.image_file import read_image
-from pipeline.footage.opening import open_source
+from pipeline.footage.opening import open_footage
 from tikernels import runtime
 from tikernels.raw.development import develop
 from tikernels.raw.pixel_format import PixelFormat
@@ -42,7 +42,7 @@ def test_colours_are_kept(tmp_path):
     for name in ("a.heic", "a.jpg", "a"):  # phones' programs rename them
         (tmp_path / name).write_bytes(data)
         np.testing.assert_array_equal(read_image(tmp_path / name), levels)
-        (frame,) = open_source(tmp_path / name).frames()
+        (frame,) = open_footage(tmp_path / name).frames()
         np.testing.assert_array_equal(frame.planes[0], levels)
 
 
@@ -93,13 +93,13 @@ def test_chroma_of_half_the_resolution_is_interpolated(tmp_path, cpu, chroma, tu
     heif[0].info["exif"] = tags.tobytes()
     heif.save(file, quality=100, chroma=chroma)
     (tmp_path / "a.heic").write_bytes(file.getvalue())
-    (frame,) = open_source(tmp_path / "a.heic").frames()
+    (frame,) = open_footage(tmp_path / "a.heic").frames()
     assert frame.format.subsampling == subsampling
     shown = 255 * runtime.to_host(develop(frame.planes, frame.format))
     assert shown.shape == image.shape
     inside = (slice(12, -12), slice(12, -12))
     assert np.abs(shown - image)[inside].max() < 8
-    with pytest.raises(FootageError, match="its colours have half the resolution: open_source and develop"):
+    with pytest.raises(FootageError, match="its colours have half the resolution: open_footage and develop"):
         read_image(tmp_path / "a.heic")
 
 
@@ -131,4 +131,4 @@ def test_without_the_extra_it_says_what_to_install(tmp_path, monkeypatch):
     (tmp_path / "a.heic").write_bytes(stored(colors()))
     monkeypatch.setitem(sys.modules, "pillow_heif", None)
     with pytest.raises(FootageError, match=r"a\.heic: it is a picture in HEIC: pip install 'colorphase\[heic\]'"):
-        open_source(tmp_path / "a.heic")
+        open_footage(tmp_path / "a.heic")

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from pipeline.errors import FootageError
+from pipeline.footage.footage import StoredFrame
 from pipeline.footage.image_file import PlaneDecoder, read_image
-from pipeline.footage.opening import open_source
-from pipeline.footage.source import StoredFrame
+from pipeline.footage.opening import open_footage
 from pipeline.limits import MAX_PIXELS
 
 
@@ -139,7 +139,7 @@ def test_bytes_behind_a_picture_are_ignored(tmp_path, suffix):
     for tail in (TAIL, ZEROS, data):
         (tmp_path / f"a{suffix}").write_bytes(data + tail)
         np.testing.assert_array_equal(read_image(tmp_path / f"a{suffix}"), expected)
-        (frame,) = open_source(tmp_path / f"a{suffix}").frames()
+        (frame,) = open_footage(tmp_path / f"a{suffix}").frames()
         assert isinstance(frame, StoredFrame)
 
 
@@ -177,7 +177,7 @@ def test_rare_kinds_of_jpeg_are_named(tmp_path, changes, reason):
     with pytest.raises(FootageError, match=reason):
         read_image(tmp_path / "a.jpg")
     with pytest.raises(FootageError, match=reason):
-        open_source(tmp_path / "a.jpg")
+        open_footage(tmp_path / "a.jpg")
 
 
 def test_levels_that_end_early_are_scaled(tmp_path):
@@ -185,6 +185,6 @@ def test_levels_that_end_early_are_scaled(tmp_path):
     levels = np.random.default_rng(0).integers(0, 4096, (8, 16, 3)).astype(np.uint16)
     (tmp_path / "a.ppm").write_bytes(b"P6 # a camera\n16 8\n4095\n" + levels.astype(">u2").tobytes())
     np.testing.assert_array_equal(read_image(tmp_path / "a.ppm"), levels << 4)
-    (frame,) = open_source(tmp_path / "a.ppm").frames()
+    (frame,) = open_footage(tmp_path / "a.ppm").frames()
     assert frame.format.bits == 12
     np.testing.assert_array_equal(frame.planes[0], levels)

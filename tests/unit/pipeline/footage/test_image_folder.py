@@ -8,10 +8,10 @@ import pytest
 from PIL import Image  # of matplotlib's own dependencies
 
 from pipeline.errors import FootageError
+from pipeline.footage.footage import BadFrame, StoredFrame
 from pipeline.footage.image_file import read_image
 from pipeline.footage.image_folder import natural_key
-from pipeline.footage.opening import open_source
-from pipeline.footage.source import BadFrame, StoredFrame
+from pipeline.footage.opening import open_footage
 from tikernels.raw.development import develop
 from tikernels.raw.pixel_format import PixelFormat
 
@@ -42,7 +42,7 @@ def test_a_folder_in_its_natural_order(tmp_path, suffix, dtype):
         write(tmp_path / f"Bild {number} ä{suffix}", picture[..., ::-1])
     (tmp_path / ".hidden.png").write_bytes(b"")
     (tmp_path / "notes.txt").write_text("not a picture")
-    source = open_source(tmp_path)
+    source = open_footage(tmp_path)
     frames = list(source.frames())
     assert len(source) == len(frames) == 4
     assert source.size_px == (30, 20)
@@ -54,7 +54,7 @@ def test_a_folder_in_its_natural_order(tmp_path, suffix, dtype):
 
 def test_a_single_picture(tmp_path):
     write(tmp_path / "one.png", colors())
-    source = open_source(tmp_path / "one.png")
+    source = open_footage(tmp_path / "one.png")
     assert [frame.number for frame in source.frames()] == [0]
     assert source.name == str(tmp_path / "one.png")
 
@@ -67,7 +67,7 @@ def test_bad_pictures_have_their_numbers(tmp_path):
     write(tmp_path / "3.png", colors(size=(21, 30)))
     (tmp_path / "4.png").unlink()
     (tmp_path / "4.png").mkdir()
-    frames = list(open_source(tmp_path).frames())
+    frames = list(open_footage(tmp_path).frames())
     reasons = {frame.number: frame.reason for frame in frames if isinstance(frame, BadFrame)}
     assert [frame.number for frame in frames] == list(range(6))
     assert list(reasons) == [0, 1, 3, 4]
@@ -84,7 +84,7 @@ def test_a_jpeg_gives_its_planes(tmp_path):
     (tmp_path / "a.jpg").write_bytes(
         cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 98])[1].tobytes()
     )
-    source = open_source(tmp_path / "a.jpg")
+    source = open_footage(tmp_path / "a.jpg")
     (frame,) = source.frames()
     expected = PixelFormat("yuv", subsampling=(2, 2), siting="centre", matrix="bt601", full_range=True)
     assert frame.format == expected
@@ -96,7 +96,7 @@ def test_mixed_pictures_of_the_same_scene(tmp_path):
     """The frames of a folder may be PNG and JPEG; only what differs from the first in size or kind is refused."""
     write(tmp_path / "1.png", colors())
     write(tmp_path / "2.jpg", colors())
-    first, second = open_source(tmp_path).frames()
+    first, second = open_footage(tmp_path).frames()
     assert isinstance(first, StoredFrame)
     assert isinstance(second, BadFrame)
     assert second.reason.startswith(
@@ -110,7 +110,7 @@ def test_an_orientation_that_changes_is_named(tmp_path):
         tags = Image.Exif()
         tags[274] = orientation
         Image.fromarray(colors()).save(tmp_path / f"{number}.jpg", exif=tags)
-    first, second, *turned = open_source(tmp_path).frames()
+    first, second, *turned = open_footage(tmp_path).frames()
     assert isinstance(first, StoredFrame) and isinstance(second, StoredFrame)
     for frame, orientation in zip(turned, (3, 6), strict=True):
         assert f"its Exif orientation is {orientation}, the first has 1" in frame.reason
@@ -119,25 +119,25 @@ def test_an_orientation_that_changes_is_named(tmp_path):
 def test_a_list_of_pictures_is_kept(tmp_path):
     for number in range(3):
         write(tmp_path / f"{number}.png", colors())
-    assert len(open_source(tmp_path, listed=("0.png", "1.png"))) == 2
+    assert len(open_footage(tmp_path, listed=("0.png", "1.png"))) == 2
 
 
 def test_what_is_not_used_is_noted(tmp_path):
     write(tmp_path / "a.png", np.dstack([colors(), np.eye(20, 30, dtype=np.uint8)]))
-    assert open_source(tmp_path / "a.png").notes == (
+    assert open_footage(tmp_path / "a.png").notes == (
         "it is transparent in parts, which is not used: its colours are taken as they are stored",
     )
     write(tmp_path / "a.png", colors(np.uint16) >> 4)
-    (note,) = open_source(tmp_path / "a.png").notes
+    (note,) = open_footage(tmp_path / "a.png").notes
     assert note.endswith("if the camera gives 12, add --bits 12")
-    assert open_source(tmp_path / "a.png", bits=12).notes == ()
+    assert open_footage(tmp_path / "a.png", bits=12).notes == ()
 
 
 def test_pictures_of_other_levels_do_not_mix(tmp_path):
     """One store holds grey levels on one scale."""
     for name, picture in (("1.png", colors()), ("2.png", colors(np.uint16)), ("3.png", colors())):
         write(tmp_path / name, picture)
-    first, second, third = open_source(tmp_path).frames()
+    first, second, third = open_footage(tmp_path).frames()
     assert second == BadFrame(1, "2.png: it is of 16 bits, the first is of 8 bits")
     assert isinstance(first, StoredFrame) and isinstance(third, StoredFrame)
 
@@ -148,14 +148,14 @@ def test_jpegs_of_other_subsampling_do_not_mix(tmp_path):
         factor = getattr(cv2, f"IMWRITE_JPEG_SAMPLING_FACTOR_{sampling}")
         coded = cv2.imencode(".jpg", colors(), [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, factor])[1]
         (tmp_path / name).write_bytes(coded.tobytes())
-    _, second = open_source(tmp_path).frames()
+    _, second = open_footage(tmp_path).frames()
     assert second == BadFrame(1, "2.jpg: it is subsampled by 2x2, the first is subsampled by 1x1")
 
 
 def test_a_grey_picture_of_floats_is_bad(tmp_path):
     write(tmp_path / "1.png", RNG.integers(0, 4096, (20, 30)).astype(np.uint16))
     write(tmp_path / "2.tif", np.eye(20, 30, dtype=np.float32))
-    _, second = open_source(tmp_path, bayer="rggb").frames()
+    _, second = open_footage(tmp_path, bayer="rggb").frames()
     assert isinstance(second, BadFrame)
     assert second.reason.endswith("2.tif: bayer pixels of 32 bits: only RGB may be floats")
 
@@ -166,7 +166,7 @@ def test_a_jpeg_that_was_cut_off(tmp_path, keep, reason):
         write(tmp_path / f"{i}.jpg", colors())
     data = (tmp_path / "1.jpg").read_bytes()
     (tmp_path / "1.jpg").write_bytes(data[: int(keep * len(data))])
-    _, frame = open_source(tmp_path).frames()
+    _, frame = open_footage(tmp_path).frames()
     assert isinstance(frame, BadFrame)
     assert reason in frame.reason
 
@@ -177,7 +177,7 @@ def test_a_jpeg_that_is_damaged_inside(tmp_path):
     data = bytearray((tmp_path / "1.jpg").read_bytes())
     data[-200:-20] = 90 * b"\xff\x00"  # ones only: no code of a JPEG begins so
     (tmp_path / "1.jpg").write_bytes(data)
-    _, frame = open_source(tmp_path).frames()
+    _, frame = open_footage(tmp_path).frames()
     assert isinstance(frame, BadFrame)
     assert "1.jpg: it is damaged" in frame.reason
 
@@ -186,8 +186,8 @@ def test_grey_pictures_are_mosaics_only_if_somebody_says_so(tmp_path):
     levels = RNG.integers(0, 4096, (20, 30)).astype(np.uint16)
     write(tmp_path / "raw.png", levels)
     with pytest.raises(FootageError, match=r"raw\.png: it is grey, .*: if it is a Bayer mosaic, say which"):
-        open_source(tmp_path)
-    source = open_source(tmp_path, bayer="bggr", bits=12)
+        open_footage(tmp_path)
+    source = open_footage(tmp_path, bayer="bggr", bits=12)
     assert source.format == PixelFormat("bayer", 12, bayer="bggr")
     (frame,) = source.frames()
     np.testing.assert_array_equal(frame.planes[0], levels)
@@ -196,14 +196,14 @@ def test_grey_pictures_are_mosaics_only_if_somebody_says_so(tmp_path):
 def test_transparency_is_left_away(tmp_path):
     picture = RNG.integers(0, 256, (20, 30, 4)).astype(np.uint8)
     write(tmp_path / "layers.png", picture)
-    (frame,) = open_source(tmp_path).frames()
+    (frame,) = open_footage(tmp_path).frames()
     np.testing.assert_array_equal(frame.planes[0], picture[..., 2::-1])
 
 
 def test_a_folder_without_pictures(tmp_path):
     (tmp_path / "notes.txt").write_text("nothing")
     with pytest.raises(FootageError, match="holds no pictures: give a folder of PNG"):
-        open_source(tmp_path)
+        open_footage(tmp_path)
 
 
 def test_a_folder_of_which_nothing_can_be_read(tmp_path):
@@ -212,7 +212,7 @@ def test_a_folder_of_which_nothing_can_be_read(tmp_path):
     with pytest.raises(
         FootageError, match=r"cannot read .*: none of its 3 pictures can be read; the first: .*0\.png is not a picture"
     ):
-        open_source(tmp_path)
+        open_footage(tmp_path)
 
 
 def test_many_tiny_files_are_not_asked_one_by_one(tmp_path, monkeypatch):
@@ -222,7 +222,7 @@ def test_many_tiny_files_are_not_asked_one_by_one(tmp_path, monkeypatch):
         os.link(tmp_path / "0.png", tmp_path / f"{i}.png")
     names = os.listdir(tmp_path)
     monkeypatch.setattr(os, "listdir", lambda folder: [f"{i}.png" for i in reversed(range(100_000))])
-    source = open_source(tmp_path)
+    source = open_footage(tmp_path)
     assert len(names) == 100
     assert len(source) == 100_000
     assert [frame.number for frame in source.frames(97, 100)] == [97, 98, 99]

@@ -8,10 +8,10 @@ import pytest
 from support.numbered_frames import record
 from support.video_files import MJPEG, encode, moving_planes
 
-from pipeline.acquisition import capture_folder
 from pipeline.errors import FootageError
+from pipeline.footage.frame_times import LOG
 from pipeline.footage.image_folder import ImageFolder
-from pipeline.footage.opening import LOG, frame_times, open_source
+from pipeline.footage.opening import open_footage
 from pipeline.footage.video_file import VideoFile
 from pipeline.footage.zarr_recording import ZarrRecording
 from pipeline.output.range_image import write_png
@@ -26,7 +26,7 @@ def test_each_kind_has_its_source(tmp_path):
     write_png(tmp_path / "pictures" / "1.png", np.zeros((16, 16, 3), np.uint8))
     kinds = {"a.mkv": VideoFile, "a.zarr": ZarrRecording, "pictures": ImageFolder, "pictures/1.png": ImageFolder}
     for name, kind in kinds.items():
-        source = open_source(tmp_path / name)
+        source = open_footage(tmp_path / name)
         assert isinstance(source, kind) and source.name == str(tmp_path / name)
         source.close()
 
@@ -34,12 +34,12 @@ def test_each_kind_has_its_source(tmp_path):
 def test_a_recording_without_its_suffix_is_known_by_its_contents(tmp_path):
     record(tmp_path / "a.zarr")
     (tmp_path / "a.zarr").rename(tmp_path / "take 2")
-    assert isinstance(open_source(tmp_path / "take 2"), ZarrRecording)
+    assert isinstance(open_footage(tmp_path / "take 2"), ZarrRecording)
 
 
 def test_what_the_user_says_wins(tmp_path):
     record(tmp_path / "a.zarr", PixelFormat("bayer", 12, bayer="grbg"))
-    source = open_source(tmp_path / "a.zarr", bayer="rggb", bits=14)
+    source = open_footage(tmp_path / "a.zarr", bayer="rggb", bits=14)
     assert source.format == PixelFormat("bayer", 14, bayer="rggb")
 
 
@@ -52,7 +52,7 @@ def test_each_mistake_names_the_file_once(tmp_path):
         ("folder", "holds no"),
     ):
         with pytest.raises(FootageError, match=message) as raised:
-            open_source(tmp_path / name)
+            open_footage(tmp_path / name)
         assert str(raised.value).count(str(tmp_path / name)) == 1 and "\n" not in str(raised.value)
 
 
@@ -67,14 +67,14 @@ def test_pictures_that_are_not_read_are_named(tmp_path, begin, kind):
     for name in ("a.heic", "a.png", "a"):
         (tmp_path / name).write_bytes(begin + bytes(100))
         with pytest.raises(FootageError, match=rf"{name}: it is a picture in {kind}: save it as PNG, TIFF or JPEG"):
-            open_source(tmp_path / name)
+            open_footage(tmp_path / name)
 
 
 def test_raw_files_of_cameras_are_named(tmp_path):
     for name in ("a.CR2", "b.dng"):
         (tmp_path / name).write_bytes(b"II*\0" + bytes(100))
         with pytest.raises(FootageError, match=rf"{name}: it is a camera's raw file: convert it to a TIFF of 16 bits"):
-            open_source(tmp_path / name)
+            open_footage(tmp_path / name)
 
 
 #: 2026-11-25 10:00:00.25 UTC.
@@ -102,7 +102,7 @@ def test_a_recording_goes_by_its_rate(tmp_path, suffix):
     path = tmp_path / f"a.{suffix}"
     rate_hz = Fraction(60000, 1001)
     recorded(path, rate_hz=rate_hz)
-    times = frame_times(open_source(path))
+    times = open_footage(path).times
     assert times.since is None
     np.testing.assert_allclose(times.seconds, np.arange(9) / float(rate_hz), rtol=1e-12)
     assert times.of(3) == pytest.approx(0.05005)
@@ -112,10 +112,10 @@ def test_a_recording_goes_by_its_rate(tmp_path, suffix):
 def test_a_captures_log_has_the_time_of_day(tmp_path, suffix):
     path = tmp_path / f"recording.{suffix}"
     recorded(path)
-    n_frames = len(open_source(path))
+    n_frames = len(open_footage(path))
     exposed = START + np.arange(n_frames) * 0.02 + np.arange(n_frames) // 4 * 3  # bursts of four
     write_log(tmp_path, exposed)
-    times = frame_times(open_source(path))
+    times = open_footage(path).times
     assert times.since == "2026-11-25T10:00:00Z"
     np.testing.assert_allclose(times.seconds, exposed - 1795600800, rtol=0, atol=1e-6)
     assert times.of(1) == pytest.approx(START + 0.02, abs=1e-6)
@@ -137,8 +137,8 @@ def test_a_captures_log_has_the_time_of_day(tmp_path, suffix):
 def test_a_log_that_does_not_tell_every_frames_time_is_left_alone(tmp_path, first):
     path = tmp_path / "recording.zarr"
     record(path)
-    write_log(tmp_path, START + np.arange(len(open_source(path))), **first)
-    assert frame_times(open_source(path)).since is None
+    write_log(tmp_path, START + np.arange(len(open_footage(path))), **first)
+    assert open_footage(path).times.since is None
 
 
 def test_a_log_that_is_none(tmp_path):
@@ -146,7 +146,7 @@ def test_a_log_that_is_none(tmp_path):
     record(path)
     for content in (b"mine", b"{}\n", b"[" * 2**18, b"\xff\x00"):
         (tmp_path / LOG).write_bytes(content)
-        assert frame_times(open_source(path)).since is None
+        assert open_footage(path).times.since is None
 
 
 def test_a_video_goes_by_its_stamps(tmp_path):
@@ -155,15 +155,11 @@ def test_a_video_goes_by_its_stamps(tmp_path):
     planes = moving_planes(5, PixelFormat("yuv", subsampling=(2, 2)))
     path = encode(tmp_path / "film.mp4", planes, *MJPEG, stamps=stamps)
     write_log(tmp_path, START + np.arange(5))
-    times = frame_times(open_source(path))
+    times = open_footage(path).times
     assert times.since is None
     np.testing.assert_allclose(times.seconds, np.array(stamps) / 30, atol=1e-9)
 
 
 def test_pictures_have_no_times(tmp_path):
     write_png(tmp_path / "a.png", np.zeros((48, 64, 3), np.uint8))
-    assert frame_times(open_source(tmp_path)) is None
-
-
-def test_the_log_is_a_captures():
-    assert LOG == capture_folder.LOG
+    assert open_footage(tmp_path).times is None

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image, ImageCms, PngImagePlugin  # of matplotlib's own dependencies
 
 from pipeline.footage.image_file import read_image
-from pipeline.footage.opening import open_source
+from pipeline.footage.opening import open_footage
 from pipeline.footage.picture_tags import CMYK, PictureTags, picture_size, read_tags, unfit_colors
 from tikernels import runtime
 from tikernels.raw.development import develop
@@ -98,7 +98,7 @@ def test_pictures_are_turned_as_the_camera_was_held(tmp_path, cpu, kind, orienta
     read = read_image(path)
     assert read.shape == shown.shape
     assert np.abs(read.astype(int) - shown).max() <= error
-    source = open_source(path)
+    source = open_footage(path)
     (frame,) = source.frames()
     assert source.size_px == (WIDTH, HEIGHT)
     developed = runtime.to_host(develop(frame.planes, frame.format))
@@ -114,7 +114,7 @@ def test_mosaics_are_turned_with_their_pattern(tmp_path, orientation, size, suff
     levels = {"r": 200, "g": 120, "b": 60}
     taken = np.tile(np.array([[levels[color] for color in row] for row in ("rg", "gb")], np.uint8), (25, 33))
     Image.fromarray(taken[: size[0], : size[1]]).save(tmp_path / f"a{suffix}", exif=exif(orientation))
-    source = open_source(tmp_path / f"a{suffix}", bayer="rggb")
+    source = open_footage(tmp_path / f"a{suffix}", bayer="rggb")
     (frame,) = source.frames()
     mosaic = np.array([levels[color] for color in frame.format.bayer]).reshape(2, 2)
     height, width = frame.planes[0].shape

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from pipeline.errors import FootageError
+from pipeline.footage.footage import StoredAs, other_than_first, turned
 from pipeline.footage.picture_tags import upright
-from pipeline.footage.source import StoredAs, other_than_first, turned
 from tikernels.raw.development import develop
 from tikernels.raw.pixel_format import PixelFormat
 from tikernels.runtime import to_host

@@ -8,10 +8,10 @@ import pytest
 from support.tiff_samples import packed_tiff, tiff
 
 from pipeline.errors import FootageError
+from pipeline.footage.footage import BadFrame, StoredFrame
 from pipeline.footage.image_file import read_image
 from pipeline.footage.image_folder import is_footage
-from pipeline.footage.opening import open_source
-from pipeline.footage.source import BadFrame, StoredFrame
+from pipeline.footage.opening import open_footage
 from pipeline.footage.tiff_file import page_places, read_directory, unfit_page
 
 HEIGHT, WIDTH = 24, 40
@@ -31,7 +31,7 @@ def written(folder, data, name="stack.tif"):
 def test_each_page_is_a_frame(tmp_path, options):
     path = written(tmp_path, tiff(*PAGES, **options))
     assert is_footage(path)
-    source = open_source(path)
+    source = open_footage(path)
     assert len(source) == 3
     for number in (2, 0, 1):
         (frame,) = source.frames(number, number + 1)
@@ -48,7 +48,7 @@ def test_its_largest_level_names_how_many_bits_a_camera_may_have(tmp_path, most,
     picture = PAGES[0] >> 7
     picture[0, 0] = level
     path = written(tmp_path, tiff((picture, {"extratags": [(281, "H", 3, (most,) * 3, True)]})))
-    source = open_source(path)
+    source = open_footage(path)
     assert source.format.bits == 16
     ends = f"is above {2 ** (bits or 0) - 1}: if the camera gives {bits}, add --bits {bits}"
     assert source.notes == () if bits is None else source.notes[0].endswith(ends)
@@ -60,7 +60,7 @@ def test_smaller_versions_and_masks_are_no_frames(tmp_path):
     for pages in ((PAGES[0], small), (small, PAGES[0]), (small, PAGES[0], mask)):
         path = written(tmp_path, tiff(*pages))
         assert not is_footage(path)
-        (frame,) = open_source(path).frames()
+        (frame,) = open_footage(path).frames()
         np.testing.assert_array_equal(frame.planes[0], PAGES[0])
         np.testing.assert_array_equal(read_image(path), PAGES[0])
 
@@ -70,7 +70,7 @@ def test_where_one_picture_is_wanted_pages_are_named(tmp_path):
     with pytest.raises(FootageError, match=r"stack\.tif has 3 pages: save each as a file of its own"):
         read_image(path)
     written(tmp_path, tiff(PAGES[0]), "a.tif")
-    single, stack = open_source(tmp_path).frames()
+    single, stack = open_footage(tmp_path).frames()
     assert isinstance(single, StoredFrame)
     assert isinstance(stack, BadFrame) and "has 3 pages" in stack.reason
 
@@ -78,10 +78,10 @@ def test_where_one_picture_is_wanted_pages_are_named(tmp_path):
 def test_a_stack_that_was_cut_off(tmp_path):
     """By the values of its last page, or before that page's directory."""
     data = tiff(*PAGES)
-    last = open_source(written(tmp_path, data[: -PAGES[2].nbytes // 2])).frames(2)
+    last = open_footage(written(tmp_path, data[: -PAGES[2].nbytes // 2])).frames(2)
     assert "page 3 of" in next(last).reason
     with pytest.raises(FootageError, match=r"stack\.tif is truncated or damaged: copy it again"):
-        open_source(written(tmp_path, data[: page_places(data)[2] + 10]))
+        open_footage(written(tmp_path, data[: page_places(data)[2] + 10]))
 
 
 def test_pages_in_a_circle():
@@ -97,7 +97,7 @@ def test_a_directory_behind_the_end(tmp_path, place):
     data = bytearray(tiff(SMALL, bigtiff=True))
     struct.pack_into("<Q", data, 8, place if place > 8 else len(data) - 4)
     with pytest.raises(FootageError, match="is truncated or damaged: copy it again"):
-        open_source(written(tmp_path, data))
+        open_footage(written(tmp_path, data))
 
 
 def test_pages_that_imagej_does_not_list(tmp_path):
@@ -106,8 +106,8 @@ def test_pages_that_imagej_does_not_list(tmp_path):
     for name, description in (("a.tif", words), ("b.tif", "images=300")):
         written(tmp_path, tiff((SMALL, {"description": description})), name)
     with pytest.raises(FootageError, match=r"a\.tif is a stack by ImageJ, 299 of whose pages are not listed"):
-        open_source(tmp_path / "a.tif")
-    assert len(open_source(tmp_path / "b.tif")) == 1
+        open_footage(tmp_path / "a.tif")
+    assert len(open_footage(tmp_path / "b.tif")) == 1
 
 
 @pytest.mark.parametrize("levels", [SMALL, PAGES[0]])
@@ -115,7 +115,7 @@ def test_pages_that_imagej_does_not_list(tmp_path):
 def test_colours_are_not_multiplied_by_their_transparency(tmp_path, levels, alpha):
     ramp = np.linspace(0, np.iinfo(levels.dtype).max, WIDTH).astype(levels.dtype)
     four = np.dstack([levels, np.tile(ramp, (HEIGHT, 1))])
-    source = open_source(written(tmp_path, tiff((four, {"extrasamples": [alpha]}))))
+    source = open_footage(written(tmp_path, tiff((four, {"extrasamples": [alpha]}))))
     (frame,) = source.frames()
     np.testing.assert_array_equal(frame.planes[0], levels)
     assert "it is transparent in parts" in source.notes[0]
@@ -124,7 +124,7 @@ def test_colours_are_not_multiplied_by_their_transparency(tmp_path, levels, alph
 @pytest.mark.parametrize("bits", [10, 12, 14])
 def test_bits_that_are_packed(tmp_path, bits):
     levels = PAGES[0] >> (16 - bits)
-    (frame,) = open_source(written(tmp_path, packed_tiff(levels, bits))).frames()
+    (frame,) = open_footage(written(tmp_path, packed_tiff(levels, bits))).frames()
     assert (frame.format.bits, frame.format.shift) == (bits, 16 - bits)
     np.testing.assert_array_equal(frame.planes[0] >> (16 - bits), levels)
 
@@ -175,7 +175,7 @@ def test_what_a_page_says_is_compared_with_what_is_decoded(values, reason):
 
 def test_planes_of_eight_bits_are_read(tmp_path):
     planes = np.moveaxis(SMALL, -1, 0)
-    (frame,) = open_source(written(tmp_path, tiff((planes, {"planarconfig": "separate"})))).frames()
+    (frame,) = open_footage(written(tmp_path, tiff((planes, {"planarconfig": "separate"})))).frames()
     np.testing.assert_array_equal(frame.planes[0], SMALL)
 
 

@@ -11,9 +11,9 @@ from support.video_files import H264, MJPEG, encode, erase, moving_planes, packe
 from pipeline.errors import FootageError
 from pipeline.footage import video_file
 from pipeline.footage.ffmpeg_frames import stored_planes
-from pipeline.footage.opening import open_source
+from pipeline.footage.footage import BadFrame, StoredAs, StoredFrame
+from pipeline.footage.opening import open_footage
 from pipeline.footage.picture_tags import upright
-from pipeline.footage.source import BadFrame, StoredAs, StoredFrame
 from pipeline.footage.video_file import VideoIndex
 from pipeline.limits import MAX_PIXELS
 from tikernels.raw.pixel_format import PixelFormat
@@ -60,7 +60,7 @@ def bad(frames):
 
 @pytest.mark.parametrize("name", FILES)
 def test_frames_are_those_of_the_file(folder, name):
-    source = open_source(folder / name)
+    source = open_footage(folder / name)
     expected = decoded(folder / name)
     frames = list(source.frames())
     assert len(source) == len(expected) == N_FRAMES
@@ -76,7 +76,7 @@ def test_frames_are_those_of_the_file(folder, name):
 @pytest.mark.parametrize("name", FILES)
 @pytest.mark.parametrize("start, stop, step", [(7, None, 1), (12, 13, 1), (13, 20, 2), (0, None, 7), (39, None, 1)])
 def test_any_frame_can_be_entered_at(folder, name, start, stop, step):
-    source = open_source(folder / name)
+    source = open_footage(folder / name)
     expected = decoded(folder / name)
     frames = list(source.frames(start, stop, step))
     assert numbers(frames) == list(range(N_FRAMES))[start:stop:step]
@@ -85,11 +85,11 @@ def test_any_frame_can_be_entered_at(folder, name, start, stop, step):
 
 
 def test_nothing_is_wanted(folder):
-    assert list(open_source(folder / "intra.avi").frames(5, 5)) == []
+    assert list(open_footage(folder / "intra.avi").frames(5, 5)) == []
 
 
 def test_two_readers_do_not_disturb_each_other(folder):
-    source = open_source(folder / "b-frames.mp4")
+    source = open_footage(folder / "b-frames.mp4")
     for first, second in zip(source.frames(), source.frames(3), strict=False):
         assert second.number == first.number + 3
 
@@ -98,7 +98,7 @@ def test_two_readers_do_not_disturb_each_other(folder):
 def test_a_variable_rate_does_not_change_the_numbers(tmp_path, name):
     stamps = np.cumsum(1 + np.arange(N_FRAMES) % 7).tolist()
     path = encode(tmp_path / name, moving_planes(N_FRAMES, YUV420), *H264, stamps=stamps)
-    source = open_source(path)
+    source = open_footage(path)
     expected = decoded(path)
     assert len(source) == N_FRAMES
     (frame,) = source.frames(23, 24)
@@ -117,7 +117,7 @@ def test_a_trimmed_file_shows_only_its_part(tmp_path, folder):
                 packet.stream = stream
                 target.mux(packet)
     expected = decoded(tmp_path / "cut.mp4")
-    source = open_source(tmp_path / "cut.mp4")
+    source = open_footage(tmp_path / "cut.mp4")
     frames = list(source.frames())
     assert len(expected) == len(source)
     assert "hides 5 of its frames from players" in source.notes[0]
@@ -130,11 +130,11 @@ def test_a_trimmed_file_shows_only_its_part(tmp_path, folder):
 def test_one_damaged_frame_of_many(tmp_path, folder, name):
     path = shutil.copy(folder / name, tmp_path / name)
     erase(path, 17)
-    frames = list(open_source(path).frames())
+    frames = list(open_footage(path).frames())
     assert numbers(frames) == list(range(N_FRAMES))
     assert list(bad(frames)) == [17]
     assert "damaged" in bad(frames)[17]
-    assert list(bad(list(open_source(path).frames(10, 20, 7)))) == [17]
+    assert list(bad(list(open_footage(path).frames(10, 20, 7)))) == [17]
 
 
 @pytest.mark.parametrize("name", ["intra.avi", "intra.mov", "intra.mkv"])
@@ -147,7 +147,7 @@ def test_a_frame_that_is_lost_moves_no_other(tmp_path, folder, name):
     head = 0 if name == "intra.mov" else 8  # bytes that say what comes and how long it is
     data[begin - head : begin + size] = bytes(size + head)
     path.write_bytes(data)
-    frames = list(open_source(path).frames())
+    frames = list(open_footage(path).frames())
     if name != "intra.mkv":  # it knows of its frames only what it can read
         assert numbers(frames) == list(range(N_FRAMES))
         assert list(bad(frames)) == [17]
@@ -166,7 +166,7 @@ def test_what_is_predicted_from_a_damaged_frame_is_not_trusted(tmp_path, folder,
     path = encode(tmp_path / name, moving_planes(N_FRAMES, YUV420, (320, 240)), codec, pixels, options)
     expected = decoded(path)
     erase(path, 17)
-    frames = list(open_source(path).frames())
+    frames = list(open_footage(path).frames())
     assert numbers(frames) == list(range(N_FRAMES))
     assert 2 <= len(bad(frames)) <= 12
     assert any("predicted from frame" in reason for reason in bad(frames).values())
@@ -180,7 +180,7 @@ def test_a_file_that_was_cut_off(tmp_path, folder, name):
     path = shutil.copy(folder / name, tmp_path / name)
     begin, size = packets(path)[30]
     path.write_bytes(path.read_bytes()[: begin + size // 2])
-    source = open_source(path)
+    source = open_footage(path)
     frames = list(source.frames())
     good = [frame.number for frame in frames if isinstance(frame, StoredFrame)]
     assert 20 <= len(good) <= 31
@@ -198,7 +198,7 @@ def test_a_frame_of_another_size(tmp_path):
         path = encode(tmp_path / f"{i}.mjpeg", planes, *MJPEG)
         parts.append(path.read_bytes())
     (tmp_path / "both.mjpeg").write_bytes(parts[0] + parts[1] + parts[0])
-    frames = list(open_source(tmp_path / "both.mjpeg").frames())
+    frames = list(open_footage(tmp_path / "both.mjpeg").frames())
     assert numbers(frames) == list(range(9))
     assert bad(frames) == dict.fromkeys((3, 4, 5), "it is 96x80 yuv, the first is 64x48 yuv")
 
@@ -228,7 +228,7 @@ def test_lossless_planes_come_back_as_they_went_in(tmp_path, pixels, codec, form
     if format.channels == "bgr0":
         planes[0][..., 3] = 0
     path = encode(tmp_path / ("video.mov" if codec == "png" else "video.mkv"), [planes], codec, pixels)
-    source = open_source(path)
+    source = open_footage(path)
     (frame,) = source.frames()
     assert frame.format == source.format == format
     assert frame.number == 0
@@ -245,7 +245,7 @@ def test_packed_chroma_is_taken_apart(tmp_path):
         frame.planes[0].update(packed.tobytes())
         container.mux(stream.encode(frame))
         container.mux(stream.encode())
-    (frame,) = open_source(tmp_path / "camera.avi").frames()
+    (frame,) = open_footage(tmp_path / "camera.avi").frames()
     assert frame.format.subsampling == (2, 1)
     for plane, first, step in zip(frame.planes, (0, 1, 3), (2, 4, 4), strict=True):
         np.testing.assert_array_equal(plane, packed[:, first::step])
@@ -265,24 +265,24 @@ def test_packed_chroma_is_taken_apart(tmp_path):
 def test_matrix_and_range(tmp_path, properties, rows, expected, assumed):
     planes = moving_planes(1, YUV420, (64, rows))
     path = encode(tmp_path / "video.mp4", planes, *H264, **properties)
-    source = open_source(path)
+    source = open_footage(path)
     assert (source.format.matrix, source.format.full_range) == expected
     if assumed is None:
         assert source.notes == ()
     else:
         (note,) = source.notes
         assert assumed in note
-    said = open_source(path, matrix="bt2020", full_range=True)
+    said = open_footage(path, matrix="bt2020", full_range=True)
     assert (said.format.matrix, said.format.full_range) == ("bt2020", True)
     assert bool(said.notes) == (bool(properties) and expected != ("bt2020", True))
 
 
 def test_motion_jpeg_has_full_range_and_centred_chroma(folder):
-    source = open_source(folder / "intra.avi")
+    source = open_footage(folder / "intra.avi")
     assert (source.format.full_range, source.format.siting, source.format.matrix) == (True, "centre", "bt601")
     assert source.notes == ()
-    assert open_source(folder / "intra.avi", siting="left").format.siting == "left"
-    assert open_source(folder / "b-frames.mp4").format.siting == "left"
+    assert open_footage(folder / "intra.avi", siting="left").format.siting == "left"
+    assert open_footage(folder / "b-frames.mp4").format.siting == "left"
 
 
 @pytest.mark.parametrize(
@@ -290,7 +290,7 @@ def test_motion_jpeg_has_full_range_and_centred_chroma(folder):
 )
 def test_transfer(tmp_path, number, transfer, note):
     properties = {"color_trc": number, "colorspace": 1, "color_range": 1}
-    source = open_source(encode(tmp_path / "video.mp4", moving_planes(1, YUV420), *H264, **properties))
+    source = open_footage(encode(tmp_path / "video.mp4", moving_planes(1, YUV420), *H264, **properties))
     assert source.transfer == transfer
     assert source.notes == () if note is None else note in source.notes[0]
 
@@ -299,13 +299,13 @@ def test_grey_video_is_a_mosaic_only_if_somebody_says_so(tmp_path):
     planes = moving_planes(2, PixelFormat("bayer"))
     path = encode(tmp_path / "grey.mkv", planes, "ffv1", "gray")
     with pytest.raises(FootageError, match=r"grey\.mkv: it is grey, .*: if it is a Bayer mosaic, say which"):
-        open_source(path)
-    source = open_source(path, bayer="gbrg")
+        open_footage(path)
+    source = open_footage(path, bayer="gbrg")
     assert source.format == PixelFormat("bayer", bayer="gbrg")
     with pytest.raises(FootageError, match="bits is 12, but its values have 8"):
-        open_source(path, bayer="gbrg", bits=12)
+        open_footage(path, bayer="gbrg", bits=12)
     with pytest.raises(FootageError, match="bayer is 'rgbg': choose"):
-        open_source(path, bayer="rgbg")
+        open_footage(path, bayer="rgbg")
 
 
 def test_bits_that_are_shifted_up_are_known():
@@ -319,13 +319,13 @@ def test_bits_that_are_shifted_up_are_known():
 def test_unsupported_pixels(tmp_path):
     path = encode(tmp_path / "few.nut", [[np.zeros((16, 32), np.uint16)]], "rawvideo", "rgb565le")
     with pytest.raises(FootageError, match=r"few\.nut: its pixel format rgb565le is not supported: convert it .*bgr0"):
-        open_source(path)
+        open_footage(path)
 
 
 def test_alpha_is_left_out(tmp_path):
     (planes,) = moving_planes(1, YUV420)
     path = encode(tmp_path / "alpha.mkv", [[*planes, planes[0]]], "ffv1", "yuva420p")
-    source = open_source(path)
+    source = open_footage(path)
     (frame,) = source.frames()
     assert "its transparency is left out" in source.notes
     assert (frame.format.subsampling, len(frame.planes)) == ((2, 2), 3)
@@ -343,7 +343,7 @@ def test_rows_stored_from_the_bottom_up(tmp_path, width):
     assert int.from_bytes(data[height : height + 4], "little", signed=True) == -16
     data[height : height + 4] = (16).to_bytes(4, "little")
     path.write_bytes(data)
-    (frame,) = open_source(path).frames()
+    (frame,) = open_footage(path).frames()
     np.testing.assert_array_equal(frame.planes[0], picture[::-1])
 
 
@@ -377,7 +377,7 @@ def with_matrix(path, target, matrix):
 
 @pytest.mark.parametrize("orientation", MATRICES)
 def test_frames_are_turned_as_the_camera_was_held(tmp_path, held, orientation):
-    source = open_source(with_matrix(held, tmp_path / "turned.mov", MATRICES[orientation]))
+    source = open_footage(with_matrix(held, tmp_path / "turned.mov", MATRICES[orientation]))
     assert source.size_px == ((64, 48) if orientation < 5 else (48, 64))
     for frame, luma in zip(source.frames(), decoded(held), strict=True):
         np.testing.assert_array_equal(frame.planes[0], upright(luma, orientation))
@@ -386,7 +386,7 @@ def test_frames_are_turned_as_the_camera_was_held(tmp_path, held, orientation):
 
 
 def test_an_odd_angle_is_not_followed_and_said(tmp_path, held):
-    source = open_source(with_matrix(held, tmp_path / "turned.mov", (0.9, 0.3, -0.3, 0.9)))
+    source = open_footage(with_matrix(held, tmp_path / "turned.mov", (0.9, 0.3, -0.3, 0.9)))
     assert source.size_px == (64, 48)
     assert "by an odd angle; here it stays as the camera stored it" in source.notes[-1]
 
@@ -397,7 +397,7 @@ def test_what_goes_wrong_with_a_frame_is_a_bad_frame(monkeypatch, folder):
             raise ValueError("strides is incompatible with shape")
         return stored_planes(frame, *others)
 
-    source = open_source(folder / "intra.mkv")
+    source = open_footage(folder / "intra.mkv")
     monkeypatch.setattr(video_file, "stored_planes", fails)
     assert bad(source.frames()) == {3: "it cannot be read (ValueError: strides is incompatible with shape)"}
 
@@ -409,7 +409,7 @@ def test_a_crop_is_followed_to_the_pixel(tmp_path):
         cut = av.BitStreamFilterContext("h264_metadata=crop_left=6:crop_right=4:crop_top=2", source.streams.video[0])
         parts = [packet for whole in [*source.demux(video=0), None] for packet in cut.filter(whole)]
     (tmp_path / "part.264").write_bytes(b"".join(bytes(packet) for packet in parts))
-    source = open_source(tmp_path / "part.264")
+    source = open_footage(tmp_path / "part.264")
     assert source.size_px == (54, 46)
     for frame, luma in zip(source.frames(), decoded(path), strict=True):
         np.testing.assert_array_equal(frame.planes[0], luma[2:, 6:-4])
@@ -423,7 +423,7 @@ def test_other_videos_of_a_file_are_named(tmp_path):
             stream.width, stream.height, stream.pix_fmt = width, 16, "yuv420p"
         for stream in streams:
             target.mux([*stream.encode(av.VideoFrame(stream.width, 16, "yuv420p")), *stream.encode()])
-    source = open_source(tmp_path / "two.mkv")
+    source = open_footage(tmp_path / "two.mkv")
     assert source.size_px == (32, 16)
     assert "it holds 2 videos, of which the first is read: the others are left out" in source.notes
 
@@ -444,7 +444,7 @@ def test_what_a_frame_shows_that_is_no_flat_picture_is_noted(tmp_path, says, not
         stream.width, stream.height, stream.pix_fmt = 32, 16, "yuv420p"
         says(stream)
         target.mux([*stream.encode(av.VideoFrame(32, 16, "yuv420p")), *stream.encode()])
-    assert [said for said in open_source(tmp_path / "film.mkv").notes if note in said]
+    assert [said for said in open_footage(tmp_path / "film.mkv").notes if note in said]
 
 
 def test_sound_alone(tmp_path):
@@ -454,7 +454,7 @@ def test_sound_alone(tmp_path):
         frame.sample_rate = 8000
         container.mux(stream.encode(frame))
     with pytest.raises(FootageError, match="holds no video"):
-        open_source(tmp_path / "sound.mkv")
+        open_footage(tmp_path / "sound.mkv")
 
 
 @pytest.mark.parametrize(
@@ -464,7 +464,7 @@ def test_no_video_at_all(tmp_path, content, message):
     path = tmp_path / "nothing.mp4"
     path.write_bytes(content)
     with pytest.raises(FootageError, match=message) as caught:
-        open_source(path)
+        open_footage(path)
     assert "\n" not in str(caught.value)
 
 
@@ -473,20 +473,20 @@ def test_a_film_without_its_index(tmp_path, folder):
     path = tmp_path / "cut.mp4"
     path.write_bytes((folder / "b-frames.mp4").read_bytes()[:-3000])
     with pytest.raises(FootageError, match="it may be cut off or damaged"):
-        open_source(path)
+        open_footage(path)
 
 
 @pytest.mark.parametrize("name", ["two words.avi", "プロジェクタ.avi", "ä%03d.avi", "colon:name.avi"])
 def test_any_name(tmp_path, folder, name):
     path = shutil.copy(folder / "intra.avi", tmp_path / name)
-    source = open_source(path)
+    source = open_footage(path)
     assert len(list(source.frames(0, 3))) == 3
     assert source.name == str(path)
 
 
 def test_no_such_file(tmp_path):
     with pytest.raises(FootageError, match="there is no such file"):
-        open_source(tmp_path / "absent.mp4")
+        open_footage(tmp_path / "absent.mp4")
 
 
 @pytest.mark.parametrize("codec", [MJPEG, H264])
@@ -494,9 +494,9 @@ def test_frames_larger_than_any_cameras_are_refused_before_one_is_decoded(tmp_pa
     path = encode(tmp_path / "film.mkv", moving_planes(3, YUV420), *codec)
     monkeypatch.setenv(MAX_PIXELS, "3071")
     with pytest.raises(FootageError, match=r"film\.mkv"):
-        open_source(path)
+        open_footage(path)
     monkeypatch.setenv(MAX_PIXELS, "3072")
-    assert len(open_source(path)) == 3
+    assert len(open_footage(path)) == 3
 
 
 # As in the file: a key frame, a frame predicted from it, one between both in time; and the same again, in an open

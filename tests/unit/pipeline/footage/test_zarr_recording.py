@@ -10,8 +10,8 @@ import zarr
 from support.numbered_frames import record
 
 from pipeline.errors import FootageError
-from pipeline.footage.opening import open_source
-from pipeline.footage.source import BadFrame
+from pipeline.footage.footage import BadFrame
+from pipeline.footage.opening import open_footage
 from pipeline.footage.zarr_recording import RecordingTags, rate_of
 from tikernels import ShapeError
 
@@ -23,7 +23,7 @@ def test_one_wrong_bit_is_found_in_zarr(tmp_path):
     data[len(data) // 2] ^= 4
     chunk.write_bytes(data)
     (tmp_path / "a.zarr" / "frames" / "c.7.0.0.0").unlink()
-    frames = list(open_source(tmp_path / "a.zarr").frames())
+    frames = list(open_footage(tmp_path / "a.zarr").frames())
     reasons = {frame.number: frame.reason for frame in frames if isinstance(frame, BadFrame)}
     assert list(reasons) == [5, 7]
     assert "damaged" in reasons[5]
@@ -36,7 +36,7 @@ def test_what_is_no_recording(tmp_path):
     zarr.create_array(tmp_path / "array.zarr", shape=(3, 3), dtype="u1")
     for name in ("other.zarr", "empty.zarr", "array.zarr"):
         with pytest.raises(FootageError, match=rf"{name} is not a recording of frames"):
-            open_source(tmp_path / name)
+            open_footage(tmp_path / name)
 
 
 def test_frames_of_another_shape(tmp_path):
@@ -50,7 +50,7 @@ def test_frames_of_another_shape(tmp_path):
         else:
             group.create_array("frames", shape=shape, dtype="u1")
         with pytest.raises(FootageError, match=rf"{name}\.zarr is damaged"):
-            open_source(path)
+            open_footage(path)
 
 
 def claimed(path, **claims):
@@ -72,7 +72,7 @@ def claimed(path, **claims):
 )
 def test_heads_that_claim_more_than_there_is(tmp_path, claims, message):
     with pytest.raises(FootageError, match=message):
-        open_source(claimed(tmp_path / "a.zarr", **claims))
+        open_footage(claimed(tmp_path / "a.zarr", **claims))
 
 
 def test_a_head_nested_without_an_end(tmp_path):
@@ -80,7 +80,7 @@ def test_a_head_nested_without_an_end(tmp_path):
     for head in (tmp_path / "a.zarr" / "frames" / "zarr.json", tmp_path / "a.zarr" / "zarr.json"):
         head.write_text("[" * 100_000)
         with pytest.raises(FootageError, match="is not a recording of frames"):
-            open_source(tmp_path / "a.zarr")
+            open_footage(tmp_path / "a.zarr")
 
 
 @pytest.mark.parametrize("bits", [float("inf"), 10**400, "many", [8], None])
@@ -91,14 +91,14 @@ def test_bits_that_are_none(tmp_path, bits):
     about["attributes"]["colorphase_recording"]["bits"] = bits
     head.write_text(json.dumps(about))
     with pytest.raises(FootageError, match=r"is damaged|is not a recording"):
-        open_source(tmp_path / "a.zarr")
+        open_footage(tmp_path / "a.zarr")
 
 
 def test_a_chunk_longer_than_a_frame_is_not_read(tmp_path):
     record(tmp_path / "a.zarr")
     with (tmp_path / "a.zarr" / "frames" / "c.2.0.0.0").open("ab") as file:
         file.truncate(2**40)
-    (frame,) = open_source(tmp_path / "a.zarr").frames(2, 3)
+    (frame,) = open_footage(tmp_path / "a.zarr").frames(2, 3)
     assert frame == BadFrame(2, "it is damaged: it is larger than 2,308 bytes")
 
 
@@ -109,7 +109,7 @@ def test_an_older_zarr_is_no_recording(tmp_path):
     group = zarr.open_group(tmp_path / "old.zarr", mode="w", zarr_format=2, attributes=about)
     group.create_array("frames", shape=(9, 22, 34, 3), chunks=(1, 22, 34, 3), dtype="u1")
     with pytest.raises(FootageError, match=r"old\.zarr is not a recording"):
-        open_source(tmp_path / "old.zarr")
+        open_footage(tmp_path / "old.zarr")
 
 
 def test_a_part_of_the_sensor_that_is_none(tmp_path):
@@ -118,13 +118,13 @@ def test_a_part_of_the_sensor_that_is_none(tmp_path):
     said = {"sensor_px": [99, 80], "offset_px": [-1, 0], "binning": [1, 1]}
     group.attrs["colorphase_recording"] = group.attrs["colorphase_recording"] | {"sensor": said}
     with pytest.raises(FootageError, match=r"a\.zarr is damaged: sensor: offset_px\.0: must be .*, got -1"):
-        open_source(tmp_path / "a.zarr")
+        open_footage(tmp_path / "a.zarr")
 
 
 def test_a_recording_may_be_copied(tmp_path):
     frames = record(tmp_path / "a.zarr")
     shutil.move(tmp_path / "a.zarr", tmp_path / "renamed folder")
-    (frame,) = open_source(tmp_path / "renamed folder").frames(3, 4)
+    (frame,) = open_footage(tmp_path / "renamed folder").frames(3, 4)
     np.testing.assert_array_equal(frame.planes[0], frames[3])
 
 

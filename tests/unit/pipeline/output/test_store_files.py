@@ -12,7 +12,7 @@ from support.missing import import_but_fail_in_ci
 from support.stored_planes import HEIGHT, WIDTH, edit, plane, store
 
 from pipeline.errors import DamageError, FootageError, OutputError
-from pipeline.footage.opening import FrameTimes
+from pipeline.footage.frame_times import FrameTimes
 from pipeline.output import store_files
 from pipeline.output.store import ResultStore, is_there
 from pipeline.output.store_files import (

@@ -12,7 +12,7 @@ import zarr
 from support.numbered_frames import RGB8, frames_of, record, rgb
 
 from pipeline.errors import FootageError, OutputError
-from pipeline.footage.opening import open_source
+from pipeline.footage.opening import open_footage
 from pipeline.recording.recorder import Recorder, WritingThreads
 from tikernels import ShapeError
 from tikernels.raw.pixel_format import PixelFormat
@@ -27,7 +27,7 @@ def test_there_and_back(tmp_path, format):
     path = tmp_path / "Aufnahme 1 ä.zarr"
     frames = record(path, format, transfer="srgb", rate_hz=Fraction(30000, 1001))
     assert [left.name for left in tmp_path.iterdir()] == [path.name]
-    source = open_source(path)
+    source = open_footage(path)
     assert len(source) == 9
     assert source.transfer == "srgb"
     assert source.notes == ()
@@ -47,7 +47,7 @@ def test_black_frames_are_frames(tmp_path):
     black = np.zeros((22, 34, 3), np.uint8)
     with Recorder(tmp_path / "black.zarr", RGB8) as recorder:
         recorder.add(black)
-    (frame,) = open_source(tmp_path / "black.zarr").frames()
+    (frame,) = open_footage(tmp_path / "black.zarr").frames()
     np.testing.assert_array_equal(frame.planes[0], black)
 
 
@@ -142,7 +142,7 @@ def test_what_no_recorder_writes(tmp_path, key, value, reason):
     group = zarr.open_group(path)
     group.attrs["colorphase_recording"] = {**group.attrs["colorphase_recording"], key: value}
     with pytest.raises(FootageError, match=reason):
-        open_source(path)
+        open_footage(path)
 
 
 def test_a_recording_of_a_later_version(tmp_path):
@@ -150,12 +150,12 @@ def test_a_recording_of_a_later_version(tmp_path):
     group = zarr.open_group(tmp_path / "a.zarr")
     group.attrs["colorphase_recording"] = {**group.attrs["colorphase_recording"], "version": "2"}
     with pytest.raises(FootageError, match="version 2, this program reads 1: update it"):
-        open_source(tmp_path / "a.zarr")
+        open_footage(tmp_path / "a.zarr")
 
 
 def test_the_user_knows_better(tmp_path):
     record(tmp_path / "a.zarr", BAYER8)
-    assert open_source(tmp_path / "a.zarr", bayer="bggr").format.bayer == "bggr"
+    assert open_footage(tmp_path / "a.zarr", bayer="bggr").format.bayer == "bggr"
 
 
 LIKE = np.zeros((2, 3), np.uint8)

@@ -9,8 +9,8 @@ from support.numbered_frames import RGB8, frame_of, record, rgb
 from support.video_files import flip, packets
 
 from pipeline.errors import FootageError, OutputError
-from pipeline.footage.opening import frame_times, open_source
-from pipeline.footage.source import BadFrame, StoredFrame
+from pipeline.footage.footage import BadFrame, StoredFrame
+from pipeline.footage.opening import open_footage
 from pipeline.models import SensorPart
 from pipeline.recording.recorder import Recorder
 from pipeline.recording.video_export import export_video
@@ -23,8 +23,8 @@ FORMATS += [PixelFormat("bayer", bits, bayer="grbg") for bits in range(8, 17)]
 def exported(tmp_path, format=RGB8, **options):
     """Record frames, and return the recording and its video."""
     record(tmp_path / "a.zarr", format, **options)
-    assert export_video(tmp_path / "a.zarr", tmp_path / "a.mkv") == len(open_source(tmp_path / "a.zarr"))
-    return open_source(tmp_path / "a.zarr"), open_source(tmp_path / "a.mkv")
+    assert export_video(tmp_path / "a.zarr", tmp_path / "a.mkv") == len(open_footage(tmp_path / "a.zarr"))
+    return open_footage(tmp_path / "a.zarr"), open_footage(tmp_path / "a.mkv")
 
 
 @pytest.mark.parametrize("format", FORMATS, ids=lambda format: f"{format.layout}{format.bits}")
@@ -43,7 +43,7 @@ def test_there_and_back(tmp_path, format):
 @pytest.mark.parametrize("rate_hz", [1, 7, 240, 500, Fraction(60000, 1001), Fraction(24000, 1001)])
 def test_times_are_the_recordings(tmp_path, rate_hz):
     recording, video = exported(tmp_path, n_frames=25, rate_hz=rate_hz)
-    np.testing.assert_array_equal(frame_times(video).seconds, frame_times(recording).seconds)
+    np.testing.assert_array_equal(video.times.seconds, recording.times.seconds)
     assert [frame.number for frame in video.frames(3, None, 5)] == [3, 8, 13, 18, 23]
 
 
@@ -61,7 +61,7 @@ def test_the_part_of_the_sensor(tmp_path, sensor):
 
 def test_the_user_knows_better(tmp_path):
     exported(tmp_path, PixelFormat("bayer", 12, bayer="grbg"))
-    assert open_source(tmp_path / "a.mkv", bayer="rggb", bits=14).format == PixelFormat("bayer", 14, bayer="rggb")
+    assert open_footage(tmp_path / "a.mkv", bayer="rggb", bits=14).format == PixelFormat("bayer", 14, bayer="rggb")
 
 
 def test_other_programs_read_it(tmp_path):
@@ -81,7 +81,7 @@ def test_one_wrong_bit_is_found(tmp_path):
     """FFmpeg conceals it; the checksum of each slice says so."""
     exported(tmp_path)
     flip(tmp_path / "a.mkv", 5)
-    frames = open_source(tmp_path / "a.mkv").frames()
+    frames = open_footage(tmp_path / "a.mkv").frames()
     bad = {frame.number: frame.reason for frame in frames if isinstance(frame, BadFrame)}
     assert bad.keys() == {5} and "damaged" in bad[5]
 
@@ -90,7 +90,7 @@ def test_a_video_that_was_cut_off_holds_its_first_frames(tmp_path):
     exported(tmp_path)
     begin, size = packets(tmp_path / "a.mkv")[6]
     (tmp_path / "a.mkv").write_bytes((tmp_path / "a.mkv").read_bytes()[: begin + size // 2])
-    source = open_source(tmp_path / "a.mkv")
+    source = open_footage(tmp_path / "a.mkv")
     assert [frame.number for frame in source.frames() if isinstance(frame, StoredFrame)] == list(range(6))
     assert any("cut off" in note for note in source.notes)
 
@@ -134,4 +134,4 @@ def test_tags_that_are_wrong(tmp_path, changed, message):
                 packet.stream = stream
                 copy.mux(packet)
     with pytest.raises(FootageError, match=message):
-        open_source(tmp_path / "b.mkv")
+        open_footage(tmp_path / "b.mkv")

@@ -1,15 +1,19 @@
 """Frames in the form in which they were stored, and what every source of them can do."""
 
-from collections.abc import Generator
+from abc import ABC, abstractmethod
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol, cast
+from typing import Self, cast
 
 import numpy as np
 
 from pipeline.errors import FootageError
+from pipeline.footage.frame_times import FrameTimes
 from pipeline.footage.picture_tags import upright
 from pipeline.models import ImageArray, SensorPart
+from tikernels import runtime
+from tikernels.raw.development import develop
 from tikernels.raw.pixel_format import SITES, Bayer, Matrix, PixelFormat, Siting
 
 #: Why grey footage cannot be decoded.
@@ -37,48 +41,102 @@ class BadFrame:
 Frames = Generator[StoredFrame | BadFrame, None, None]
 
 
-class Source(Protocol):
-    """Frames in their order, as often as asked for; not to be shared between threads."""
+class Footage(ABC):
+    """Frames in their order, as often as asked for; not to be shared between threads.
 
-    @property
-    def name(self) -> str:
-        """What the user gave."""
+    `open_footage` opens it. It is a context manager: leaving it lets go of files.
 
-    @property
-    def size_px(self) -> tuple[int, int]:
-        """Width and height of every frame."""
+    Attributes
+    ----------
+    name : str
+        What the user gave.
+    size_px : (int, int)
+        Width and height of every frame, whose arrays have the shape (height, width, 3).
+    format : PixelFormat
+        How the first good frame is stored; others differ only if their frame says so.
+    transfer : str or None
+        How light is encoded ("linear", "srgb", "bt709"), where the file says so.
+    transfer_because : str
+        What tells the transfer, or that nothing does.
+    sensor : SensorPart or None
+        The part of the camera's sensor that frames are; None: the footage does not say.
+    notes : tuple of str
+        What was assumed because the container does not say it, a sentence each; for the user.
+    """
 
-    @property
-    def format(self) -> PixelFormat:
-        """How the first good frame is stored; others differ only if their frame says so."""
+    name: str
+    size_px: tuple[int, int]
+    format: PixelFormat
+    transfer: str | None
+    transfer_because: str
+    sensor: SensorPart | None
+    notes: tuple[str, ...] = ()
 
-    @property
-    def transfer(self) -> str | None:
-        """How light is encoded ("linear", "srgb", "bt709"), where the file says so; None where it does not."""
-
-    @property
-    def transfer_because(self) -> str:
-        """What tells the transfer, or that nothing does."""
-
-    @property
-    def sensor(self) -> SensorPart | None:
-        """The part of the camera's sensor that frames are; None: the footage does not say."""
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What was assumed because the container does not say it, a sentence each; for the user."""
-
+    @abstractmethod
     def __len__(self) -> int:
         """Return how many frames there are, damaged ones included."""
 
+    @abstractmethod
     def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Frames:
-        """Yield the frames start, start + step, ... below stop: each number once, in order, as a frame or a bad one."""
+        """Yield the frames start, start + step, ... below stop: each number once, in order, as a frame or a bad one.
 
+        A frame comes in the form in which it was stored; `tikernels.develop` turns that into RGB.
+        """
+
+    @abstractmethod
     def files(self) -> list[Path]:
         """Return the file of each frame, some of which may be missing; or one file, if it holds them all."""
 
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027 (most have nothing open)
         """Let go of files; a second call does nothing."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        width, height = self.size_px
+        return f"<{type(self).__name__} {self.name}: {len(self)} frames of {width}x{height} px>"
+
+    @property
+    def times(self) -> FrameTimes | None:
+        """When the frames were taken; None where nothing tells, as with a folder of pictures.
+
+        A recording's capture log has the time of day at which each frame was exposed. Without one a recording's rate
+        tells, and of other videos their time stamps do. The date in a video's head is not asked: programs that cut or
+        copy videos write their own.
+        """
+        return None
+
+    def images(
+        self, start: int = 0, stop: int | None = None, step: int = 1, *, stripes: str = "horizontal"
+    ) -> Iterator[ImageArray]:
+        """Yield the frames start, start + step, ... below stop as RGB.
+
+        Parameters
+        ----------
+        start, stop, step : int
+            As of a slice.
+        stripes : {"horizontal", "vertical"}
+            Which way the fringe runs; a mosaic's missing colours are taken from along it.
+
+        Yields
+        ------
+        (H, W, 3) uint8, uint16 or float32
+            Levels up to 255, 65535 or 1, encoded as the camera encoded them; see `transfer`.
+
+        Raises
+        ------
+        FootageError
+            A frame is damaged, or is not like the others.
+        """
+        runtime.init("auto")
+        for stored in self.frames(start, stop, step):
+            if isinstance(stored, BadFrame):
+                raise FootageError(f"frame {stored.number} of {self.name}: {stored.reason}")
+            yield runtime.to_host(develop(stored.planes, stored.format, stripes=stripes)).copy()
 
 
 @dataclass(frozen=True)
@@ -137,7 +195,7 @@ def turned(
     return tuple(cast(ImageArray, np.ascontiguousarray(upright(plane, orientation))) for plane in planes), format
 
 
-def other_than_first(format: PixelFormat, size_px: tuple[int, int], source: "Source") -> str | None:
+def other_than_first(format: PixelFormat, size_px: tuple[int, int], source: Footage) -> str | None:
     """Say how a frame differs from its source's first in what all frames of a store must share; None: in nothing."""
     for here, first in zip(_kind(format, size_px), _kind(source.format, source.size_px), strict=True):
         if here != first:
