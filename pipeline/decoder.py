@@ -23,10 +23,21 @@ from pipeline.decoding.doubts import (
     reversed_doubt,
 )
 from pipeline.decoding.expected_fringe import ExpectedFringe
-from pipeline.decoding.frame import CameraRays, DecodedFrame, FrameMemory, FrameSetup, Measured
+from pipeline.decoding.frame import (
+    CameraRays,
+    DecodedFrame,
+    FrameMemory,
+    FrameSetup,
+    Measured,
+    buffers_of,
+    emptied_on_error,
+    memory_of,
+    refill,
+)
 from pipeline.decoding.frame_reader import FrameReader, LinearFrame
 from pipeline.decoding.front_side import RimVotes, ask_rims
 from pipeline.decoding.light_model import LightModel
+from pipeline.decoding.rig_state import Asked, RigState
 from pipeline.decoding.self_calibration import LightEstimate, estimate_light
 from pipeline.decoding.thresholds import frame_levels
 from pipeline.decoding.workspace import Workspace
@@ -75,12 +86,12 @@ class Decoder:
 
     Attributes
     ----------
-    light : LightEstimate or None
-        What the first frame with fringes told of crosstalk and response, where neither settings nor calibration say
-        anything of the crosstalk. It is used for that frame and all after it if it is `reliable`.
-    rims : RimVotes
-        What the first frame that shows it clearly, or the last one, tells of which side is in front, where neither
-        settings nor calibration do.
+    state : RigState
+        What frames have told of the rig; assign another decoder's, and this one asks them nothing that it has settled.
+    settings, calibration
+        As given.
+    arch : str
+        Where it computes.
 
     Raises
     ------
@@ -89,8 +100,6 @@ class Decoder:
     SettingsError, CalibrationError
         Settings and calibration contradict each other.
     """
-
-    light: LightEstimate | None = None
 
     def __init__(
         self,
@@ -104,7 +113,8 @@ class Decoder:
         self.calibration = calibration
         self._light = LightModel(self.settings, calibration)
         geometry = calibration.geometry() if calibration is not None and calibration.has_geometry else None
-        self.rims = RimVotes()
+        self._told: LightEstimate | None = None
+        self._rims = RimVotes()
         self._asks_rims = geometry is None and self.settings.projector_side is None
         self._unclear_frames = 0
         plane = None if reference is None else reference.unwrapped_phase.copy()  # its frame may become `out`
@@ -121,11 +131,11 @@ class Decoder:
         self._workspace: Workspace | None = None
         self.arch = runtime.init(arch)
         rays = None if geometry is None else CameraRays.of(geometry, self.settings.stripes)
-        self._setup = FrameSetup(self.settings.stripes, self.settings.smoothing_px // 2, rays, plane)
+        self._setup = FrameSetup(self.settings, calibration, rays, plane)
 
     def __repr__(self) -> str:
-        calibrated = "a calibrated rig" if self._setup.rays is not None else "no geometry"
-        return f"Decoder(arch={self.arch!r}, stripes={self.settings.stripes!r}, {calibrated})"
+        calibrated = "in rad, no geometry" if self.calibration is None else repr(self.calibration)
+        return f"<Decoder on {self.arch}: {self.settings.stripes} stripes, {calibrated}>"
 
     def decode(
         self,
@@ -175,16 +185,18 @@ class Decoder:
         with runtime.lock, one_thread():
             runtime.require(self.arch)
             frame = self._reader.read(image)  # linear light, colours aligned, stripes along the rows
-            memory = None if previous is None else previous.memory.checked(frame.shape, self._setup.stripes, elapsed)
+            memory = None
+            if previous is not None:
+                memory = memory_of(previous).checked(frame.shape, self._setup.stripes, elapsed)
             if out is None:
                 buffers = self._pool.lend(frame.shape, points=self._setup.rays is not None)
             else:
-                buffers = out.buffers_for(frame.shape, self._setup)
+                buffers = buffers_of(out, frame.shape, self._setup)
             statistics = measure_frame(frame.image, frame.white)
             levels = frame_levels(self.settings, statistics, frame.white)
             period_px = self.settings.camera_period_px or statistics.period_px
             looks_for_code = self._light.code_unknown
-            with nullcontext() if out is None else out.emptied_on_error():
+            with nullcontext() if out is None else emptied_on_error(out):
                 if statistics.period_px is None or period_px is None:
                     clear_buffers(*buffers)
                     measured = Measured(*buffers, order_doubt=fringe_doubt(frame, self._setup.stripes, levels.clipped))
@@ -194,11 +206,11 @@ class Decoder:
                         memory = None if out is previous else memory  # its buffers have just been written
                         measured = self._measure(frame, levels, period_px, memory, *buffers)
                     measured = self._doubted(measured, frame, levels, statistics, period_px)
-                    if looks_for_code and self.code is not None:
+                    if looks_for_code and self._light.code is not None and not self._light.code_unknown:
                         measured = replace(measured, light_doubts=(CODE_SHOWN, *measured.light_doubts))
                     if self._setup.rays is None:
                         sign, clear = self._find_front(measured.surface, self._work(frame, period_px))
-                        measured = replace(measured, range_sign=sign, front_is_clear=clear)
+                        measured = replace(measured, range_sign=sign, front_known=clear)
             found = [] if frame.repeated is None else [repeated_chroma_doubt(frame.repeated)]
             if self._setup.rays is not None and self._setup.rays.n_blind:
                 found.append(folded_lens_doubt(self._setup.rays.n_blind, frame.shape))
@@ -206,43 +218,34 @@ class Decoder:
             for doubt in measured.doubts:
                 warnings.warn(doubt, DecodeWarning, stacklevel=2)
             result = DecodedFrame(period_px, levels.noise, measured.doubts, measured, self._setup)
-            return result if out is None else out.become(result)
+            return result if out is None else refill(out, result)
 
     @property
-    def code(self) -> CodeName | None:
-        """The pattern's code: by the settings, the calibration, or the first frame with fringes; None: none yet."""
-        return None if self._light.code_unknown or self._light.code is None else self._light.code.name
+    def state(self) -> RigState:
+        """What frames have told of the rig."""
+        code = None if self._light.code_unknown or self._light.code is None else self._light.code.name
+        asked: dict[Asked, bool] = {
+            "light": self._light.unknown,
+            "code": self._light.code_unknown,
+            "rims": self._asks_rims and not self._rims.clear,
+        }
+        return RigState(self._told, code, self._rims, frozenset(name for name, is_asked in asked.items() if is_asked))
 
-    def use_code(self, code: CodeName | None) -> None:
-        """Take what another decoder has seen of a code, instead of looking for one in the first frame with fringes.
+    @state.setter
+    def state(self, state: RigState) -> None:
+        if "code" not in state.asks:
+            self._use_code(state.code)
+        if "light" not in state.asks:
+            self._told = state.light
+            self._light.learn(state.light)
+        if "rims" not in state.asks:
+            self._rims, self._asks_rims = state.rims, False
 
-        A code that settings or calibration state stays.
-        """
+    def _use_code(self, code: CodeName | None) -> None:
+        """Take a code that was seen; one that settings or calibration state stays."""
         if self._light.code_unknown:
             self._light.use_code(None if code is None else ContrastCode.named(code))
             self._orders.code = self._light.code
-
-    @property
-    def asks_for_light(self) -> bool:
-        """Whether the next frame with fringes is to tell the light, of which nothing is known."""
-        return self._light.unknown
-
-    def use_light(self, light: LightEstimate | None) -> None:
-        """Take what another decoder has learnt, instead of asking the first frame; None: nothing could be learnt.
-
-        Then a frame's result does not depend on which frames came before it, except for `previous`.
-        """
-        self.light = light
-        self._light.learn(light)
-
-    @property
-    def asks_rims(self) -> bool:
-        """Whether the next frame with fringes is to tell which side is in front, which nothing has made clear."""
-        return self._asks_rims and not self.rims.clear
-
-    def use_rims(self, rims: RimVotes) -> None:
-        """Take what another decoder's frames told of which side is in front, instead of asking those to come."""
-        self.rims, self._asks_rims = rims, False
 
     def _measure(
         self,
@@ -275,7 +278,7 @@ class Decoder:
         smoothed = (work.phase, phases.modulation, rates)
         seen = SeenPhase(image, gains, crosstalk, *smoothed, correction, period_px, float(model.contrast), levels.noise)
         if known.code_unknown:  # up to here as if there were a code: without, its contrasts look like more surfaces
-            self.use_code("contrast" if self._orders.shows_a_code(seen, patches) else None)
+            self._use_code("contrast" if self._orders.shows_a_code(seen, patches) else None)
             if known.code is None:
                 return self._measure(frame, levels, period_px, memory, phases, surface)
         placement = self._orders.find(seen, patches, rays, memory)
@@ -346,15 +349,15 @@ class Decoder:
     def _find_front(self, surface: SurfaceBuffers, work: Workspace) -> tuple[int, bool]:
         """Return -1 if the phase grows towards the camera, else 1, and whether settings or frames make that clear."""
         side = self.settings.projector_side
-        if self.asks_rims:
+        if self._asks_rims and not self._rims.clear:
             if self._unclear_frames < _ASKED or self._unclear_frames % _ASKED == 0:
-                self.rims = ask_rims(runtime.to_host(surface.unwrapped), runtime.to_host(surface.region))
+                self._rims = ask_rims(runtime.to_host(surface.unwrapped), runtime.to_host(surface.region))
             self._unclear_frames += 1
         if side is not None:
             # A projector above lights lower places of what is nearer.
             rising = float(runtime.to_host(work.rates)[-1, RATE_ACROSS]) > 0  # synchronises
             return (-1 if rising == (side in ("above", "left")) else 1), True
-        return (-1 if self.rims.clear and self.rims.falls > self.rims.grows else 1), self.rims.clear
+        return (-1 if self._rims.clear and self._rims.falls > self._rims.grows else 1), self._rims.clear
 
     def _doubted(
         self,
@@ -399,7 +402,7 @@ class Decoder:
             known = found.orders.known[runtime.to_host(found.surface.region)].sum() / max(1, found.n_measured)
             changed[key] = Changed(
                 read=None if self._light.code is None else float(known),
-                mismatch=found.mismatch if self._light.constant_known and self.light is None else None,
+                mismatch=found.mismatch if self._light.constant_known and self._told is None else None,
             )
         return changed
 
@@ -452,9 +455,9 @@ class Decoder:
         if phases.size:
             cycles = float(np.ptp(np.quantile(phases, (0.01, 0.99)))) / (2 * np.pi)
             with suppress(CalibrationError):
-                self.light = estimate_light(frame.image, levels, self._work(frame, period_px).period_px, cycles)
-        self._light.learn(self.light)
-        return self.light is not None and self.light.reliable
+                self._told = estimate_light(frame.image, levels, self._work(frame, period_px).period_px, cycles)
+        self._light.learn(self._told)
+        return self._told is not None and self._told.reliable
 
     def _work(self, frame: LinearFrame, period_px: float) -> Workspace:
         """Return the buffers for a frame's size and period."""

@@ -1,4 +1,4 @@
-"""How objects show themselves in a notebook: as HTML with a picture, figures and warnings, or as a figure.
+"""How objects show themselves in a notebook: as HTML with a picture, figures and warnings, or as a figure; and save.
 
 What draws an object is often in a room above its class. So classes call the functions below, which load
 `pipeline.output.notebook` when they first meet an object: it registers how each is shown.
@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping
 from functools import singledispatch
 from html import escape
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -45,6 +46,13 @@ def to_pyvista(thing: object) -> Any:
     if _just_loaded():
         return to_pyvista(thing)
     raise OutputError(f"a {type(thing).__name__} has no PyVista data: pass a decoded frame")
+
+
+@singledispatch
+def save_frame(frame: object, path: Path) -> None:
+    """Write a frame as a file; see `FrameFields.save`."""
+    if _just_loaded():
+        save_frame(frame, path)
 
 
 def _just_loaded() -> bool:

@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from pipeline.calibration import Calibration
 from pipeline.decoder import Decoder
-from pipeline.decoding.frame import DecodedFrame
+from pipeline.decoding.frame import DecodedFrame, read_back
 from pipeline.errors import DecodeWarning, FootageError, OutputError
 from pipeline.models import ImageArray
 from pipeline.output.range_image import write_range_image
@@ -305,4 +305,4 @@ class _LiveWorker:
         # With a decoder of its own: the first frame is to tell the light.
         decoder = Decoder(settings, self._task.calibration, arch=self._task.arch)
         frame = decoder.decode(self._develop((fringe * format.white_level).astype(format.dtype)))
-        frame.fetch(("range_image", "phase_sigma"))
+        read_back(frame, ("range_image", "phase_sigma"))

@@ -14,16 +14,16 @@ import numpy as np
 from pipeline.calibration import Calibration
 from pipeline.decoder import Decoder
 from pipeline.decoding.doubts import CODE_SHOWN
-from pipeline.decoding.front_side import RimVotes
-from pipeline.decoding.self_calibration import LightEstimate
+from pipeline.decoding.labels import result_attributes
+from pipeline.decoding.rig_state import RigState
 from pipeline.errors import DecodeWarning, FootageError, SettingsError
 from pipeline.footage.footage import Footage, StoredAs, StoredFrame
 from pipeline.footage.image_folder import ImageFolder
 from pipeline.footage.opening import open_footage
 from pipeline.limits import BYTES_A_PIXEL, max_pixels
-from pipeline.models import CodeName, ImageArray
+from pipeline.models import ImageArray
 from pipeline.output.folder import file_digest
-from pipeline.output.store import ResultStore, camera_attribute, frame_bytes, result_attributes
+from pipeline.output.store import ResultStore, camera_attribute, frame_bytes
 from pipeline.settings import DecodeSettings
 from pipeline.text import one_line
 from tikernels.arrays import LevelsImage
@@ -81,9 +81,7 @@ class Crop:
 class Learnt:
     """What footage tells of itself before its frames are decoded for good."""
 
-    light: LightEstimate | None = None
-    code: CodeName | None = None  # that frames show
-    rims: RimVotes = field(default_factory=RimVotes)  # which side is in front
+    state: RigState = field(default_factory=RigState)
     notes: tuple[str, ...] = ()  # what the user should know of the light and of a code that frames show
     frame_bytes: int | None = None  # what the last frame that was asked takes in the store; None: none can be decoded
 
@@ -201,9 +199,9 @@ class Job:
             It holds something else, or cannot be written.
         """
         also = {
-            "light": None if learnt.light is None else learnt.light.model_dump(mode="json"),
-            "code": learnt.code,
-            "rims": asdict(learnt.rims),
+            "light": None if learnt.state.light is None else learnt.state.light.model_dump(mode="json"),
+            "code": learnt.state.code,
+            "rims": asdict(learnt.state.rims),
             **camera_attribute(self._calibration_of_part()),
         }
         identity, size_px = self.identity(source), self.size_px(source)
@@ -243,42 +241,38 @@ class Job:
         Of 64 evenly spaced frames, the first with fringes shows whether there is a code, and the first whose light can
         be estimated its light; of 16, the first that shows the side clearly.
         """
-        light: LightEstimate | None = None
-        code: CodeName | None = None
+        state = RigState()
         size: int | None = None
-        rims, light_told, code_told = RimVotes(), False, False
         notes: tuple[str, ...] = ()
         asked = range(0, len(source), -(-len(source) // _MOST_ASKED))
         for turn, number in enumerate(asked):
-            if light_told and turn % -(-len(asked) // _ASKED_FOR_SIDE):
+            if "light" not in state.asks and turn % -(-len(asked) // _ASKED_FOR_SIDE):
                 continue
             stored = next(iter(source.frames(number, number + 1)))
             if not isinstance(stored, StoredFrame):
                 continue
             decoder = self.decoder()
-            if code_told:
-                decoder.use_code(code)
-            if light_told:
-                decoder.use_light(light)
-            known = not decoder.asks_for_light
+            decoder.state = state
+            known = "light" not in decoder.state.asks
             try:
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore", DecodeWarning)  # its frame is decoded again, and then says it
                     frame = decoder.decode(self.develop(stored, None))
             except FootageError:
                 continue
-            rims = decoder.rims
+            told = decoder.state
+            state = replace(state, rims=told.rims)
             size = frame_bytes(frame, self.fields)
-            tells_light = known or (decoder.light is not None and decoder.light.reliable)
-            if frame.period_px is not None and not code_told:
-                code, code_told = decoder.code, True
+            if frame.period_px is not None and "code" in state.asks:
+                state = replace(state, code=told.code, asks=state.asks - {"code"})
                 notes = tuple(note for note in frame.warnings if note == CODE_SHOWN)
-            if frame.period_px is not None and tells_light and not light_told:
-                light, light_told = decoder.light, True
+            tells_light = known or (told.light is not None and told.light.reliable)
+            if frame.period_px is not None and tells_light and "light" in state.asks:
+                state = replace(state, light=told.light, asks=state.asks - {"light"})
                 notes += tuple(note for note in frame.warnings if note not in notes)
-            if light_told and not decoder.asks_rims:
+            if "light" not in state.asks and "rims" not in told.asks:
                 break
-        return Learnt(light, code, rims, notes, size)
+        return Learnt(state, notes, size)
 
 
 def with_transfer_of(

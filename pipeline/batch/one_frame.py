@@ -90,9 +90,9 @@ def decode_picture(
         frame = decoder.decode(develop(stored.planes, stored.format, stripes=settings.stripes))
         if not frame.mask.any():  # a warning has said why
             raise FootageError(f"nothing was measured in {picture.name}, so nothing is written")
-        report = frame_report(frame, settings, calibration, picture.name)
+        report = frame_report(frame, picture.name)
         report["transfer_because"] = transfer_because
-        write_frame(folder, frame, settings, calibration, report, part, tell, remark)
+        write_frame(folder, frame, report, part, tell, remark)
         tell(f"moving all into {out}")
     return frame, source.notes
 
@@ -140,10 +140,10 @@ def decode_simulated(out: Path, arch: str, *, force: bool, tell: Callable[[str],
         frame = Decoder(settings, calibration, arch=arch).decode(truth.image)
         tell("measuring it")
         measured = measure_against_truth(frame, truth)
-        report = {**frame_report(frame, settings, calibration, "simulated bust"), "against_truth": measured}
+        report = {**frame_report(frame, "simulated bust"), "against_truth": measured}
         write_png(folder / "frame.png", np.asarray(truth.image, np.uint8))
         calibration.write(folder / "calibration.json")
-        write_frame(folder, frame, settings, calibration, report, tell=tell)
+        write_frame(folder, frame, report, tell=tell)
         picture = out / "render.png"
         tell("drawing the mesh")
         try:

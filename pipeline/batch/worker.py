@@ -12,7 +12,7 @@ from threading import Event, Thread
 from typing import Any
 
 from pipeline.batch.job import Job, join_ranges
-from pipeline.decoding.frame import DecodedFrame
+from pipeline.decoding.frame import DecodedFrame, read_back
 from pipeline.errors import DecodeWarning, FootageError
 from pipeline.footage.footage import BadFrame, Footage, Frames, StoredFrame
 from pipeline.output.store import ResultStore, WrittenFrame
@@ -63,9 +63,7 @@ class Worker:
         self._files = self._source.files()
         self._store = job.open_store(self._source)
         self._decoder = job.decoder()
-        self._decoder.use_code(self._store.says.code)
-        self._decoder.use_light(self._store.says.light)
-        self._decoder.use_rims(self._store.says.rim_votes)
+        self._decoder.state = self._store.says.state
         self._times = None if job.settings.fields is None else self._source.times
         self._decoded = 0  # the number of the frame that was decoded last
         width, height = job.size_px(self._source)
@@ -117,7 +115,7 @@ class Worker:
                     previous = result.frame = frame
                     turn += 1
                     if stored.number in missing:
-                        frame.fetch(self._job.fields)
+                        read_back(frame, self._job.fields)
                         result.written = writers.submit(
                             self._store.write, stored.number, frame, self._job.made_of(stored.number)
                         )

@@ -418,6 +418,19 @@ class Calibration(Model):
         """Return a SHA-256 of the contents, by which results name the calibration they were made with."""
         return hashlib.sha256(json.dumps(self.model_dump(mode="json"), sort_keys=True).encode()).hexdigest()
 
+    def __repr__(self) -> str:
+        lenses = (("camera", self.camera), ("projector", self.projector))
+        parts = ["{} {}x{} px".format(name, *lens.size_px) for name, lens in lenses if lens is not None]
+        if self.translation_mm is not None:
+            parts.append(f"{np.linalg.norm(self.translation_mm):.0f} mm apart")
+        if self.depth_range_mm is not None:
+            parts.append("depth {:g} to {:g} mm".format(*self.depth_range_mm))
+        if self.pattern is not None:
+            parts.append(f"{self.pattern.stripes} stripes of {self.pattern.period_px:g} px, code {self.pattern.code}")
+        if self.crosstalk_matrix is not None:
+            parts.append("crosstalk measured")
+        return f"<Calibration: {', '.join(parts) or 'nothing is known'}>"
+
     def _repr_html_(self) -> str | None:
         return to_html(self)
 

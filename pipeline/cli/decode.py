@@ -2,11 +2,9 @@
 
 import sys
 from dataclasses import asdict, dataclass, fields
-from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-import numpy.typing as npt
 from cyclopts import Parameter
 
 from pipeline.batch.job import Crop, Job
@@ -166,7 +164,7 @@ def decode(
     for note in notes:
         remark(f"note: {note}")
     say(f"{frame.mask.mean():.1%} of the pixels measured; wrote {out}")
-    relative = depth_in_words(partial(getattr, frame), in_mm=frame.calibrated, front_is_clear=frame.front_is_clear)
+    relative = depth_in_words(frame, front_known=frame.front_known)
     if relative is not None:
         say(relative)
 
@@ -258,16 +256,12 @@ def _check_meshes(out: str, job: Job, kind: Kind, *, in_mm: bool) -> None:
 def _say_whether_relative(location: str) -> None:
     """Say of the last frame whether its depth is only relative."""
     stored = StoredResult(location)
-    if not stored.done:
+    if not len(stored):
         return
-    number = stored.done[-1]
-
-    def read(name: str) -> npt.NDArray[Any] | None:
-        return stored.read(name, number) if name in stored.fields else None
-
-    relative = depth_in_words(read, in_mm=stored.in_mm, front_is_clear=stored.front_is_clear)
+    frame = stored[-1]
+    relative = depth_in_words(frame, front_known=stored.front_known)
     if relative is not None:
-        say(f"frame {number}: {relative}")
+        say(f"frame {frame.number}: {relative}")
 
 
 def _say_summary(summary: DecodeSummary, store: str) -> None:

@@ -5,12 +5,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from dataclasses import field as attribute
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.calibration import Geometry
+from pipeline.calibration import Calibration, Geometry
+from pipeline.calibration.lens import Lens
 from pipeline.causes import Cause
 from pipeline.decoding.buffers import PhaseBuffers, SurfaceBuffers, clear_buffers
 from pipeline.decoding.fields import (
@@ -19,14 +20,16 @@ from pipeline.decoding.fields import (
     RELATIVE_RANGE_DIGITS,
     SIGMA_DIGITS,
     WRAPPED_PHASE_DIGITS,
+    Field,
     field,
     fields_of,
 )
+from pipeline.decoding.frame_fields import FrameFields
 from pipeline.decoding.frame_reader import size_text
-from pipeline.decoding.labels import make_dataset
+from pipeline.decoding.labels import result_attributes
 from pipeline.decoding.surface_search import FoundSurfaces, OnlyColor
 from pipeline.errors import SettingsError
-from pipeline.showing import plot_image, to_html, to_pyvista
+from pipeline.settings import DecodeSettings
 from tikernels import runtime
 from tikernels.arrays import F32, Array
 from tikernels.depth.point_uncertainty import point_sigma
@@ -37,12 +40,6 @@ from tikernels.phase.texture import measure_texture
 from tikernels.phase.uncertainty import estimate_phase_sigma
 from tikernels.phase.white_light import FrameLight
 from tikernels.transposing import transpose
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import FigureBase
-    from pyvista import PolyData
-    from xarray import Dataset
 
 Floats = npt.NDArray[np.float32]
 
@@ -116,10 +113,20 @@ class FrameMemory:
 class FrameSetup:
     """What all frames of a decoder have in common."""
 
-    stripes: str  # "horizontal" or "vertical"; the buffers have stripes along the rows
-    smoothing_pairs: int  # neighbours on either side that the smoothing fits
-    rays: CameraRays | None  # with a calibration
+    settings: DecodeSettings
+    calibration: Calibration | None
+    rays: CameraRays | None  # with the calibration's geometry
     reference: Floats | None  # (H, W) rad, unwrapped phase of a plane that ranges are measured from without one
+
+    @property
+    def stripes(self) -> str:
+        """Which way they run, "horizontal" or "vertical"; the buffers have them along the rows."""
+        return self.settings.stripes
+
+    @property
+    def smoothing_pairs(self) -> int:
+        """How many neighbours on either side the smoothing fits."""
+        return self.settings.smoothing_px // 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +143,7 @@ class Measured:
     orders: RegionOrders = attribute(default_factory=RegionOrders.of_no_region)
     surfaces: FoundSurfaces | OnlyColor | None = None
     range_sign: int = 1  # without a calibration: -1 where the phase grows towards the camera
-    front_is_clear: bool = False  # whether that is more than a guess
+    front_known: bool = False  # whether that is more than a guess
     light: FrameLight | None = None  # image and model; None: no fringe
     fields: npt.NDArray[np.float64] | None = None  # see `FrameMemory`
     since_middle: Floats | None = None  # (H, W) rad, see `RowMotion`; None: the phase is as the rows show it
@@ -158,8 +165,8 @@ class Measured:
         return self.light_doubts if self.order_doubt is None else (self.order_doubt, *self.light_doubts)
 
 
-@dataclass(eq=False)
-class DecodedFrame:
+@dataclass(eq=False, repr=False)
+class DecodedFrame(FrameFields):
     """A decoded frame: every pixel's phase, its order and, with a calibration, its place.
 
     The fields are NumPy arrays, read back from the device when they are first looked at, from any thread. On the CPU
@@ -172,8 +179,11 @@ class DecodedFrame:
     """Standard deviation of a channel where the frame is half as bright as at its brightest, grey levels."""
     warnings: tuple[Cause, ...]
     """What the user should know about this frame, each with the `key` of its cause."""
-    _measured: Measured = attribute(repr=False)
-    _setup: FrameSetup = attribute(repr=False)
+    _measured: Measured
+    _setup: FrameSetup
+    number: int | None = None
+    time_s: float | None = None
+    dated: bool = False
 
     @property
     def measured_px(self) -> int:
@@ -191,17 +201,37 @@ class DecodedFrame:
         return self._setup.rays is not None
 
     @property
-    def range_unit(self) -> Literal["mm", "rad"]:
-        """Of `range_image`."""
-        return "mm" if self.calibrated else "rad"
+    def settings(self) -> DecodeSettings:
+        """How it was decoded."""
+        return self._setup.settings
 
     @property
-    def front_is_clear(self) -> bool:
+    def calibration(self) -> Calibration | None:
+        """The rig by which it was decoded."""
+        return self._setup.calibration
+
+    @property
+    def camera(self) -> Lens | None:
+        """The camera whose pixels it has; None: without a calibration."""
+        return None if self.calibration is None else self.calibration.camera
+
+    @property
+    def attributes(self) -> dict[str, Any]:
+        """How it was decoded: settings, the calibration's hash, version, unit of ranges."""
+        return result_attributes(self.settings, self.calibration)
+
+    @property
+    def fields(self) -> dict[str, Field[Any]]:
+        """The fields that it has, by name."""
+        return {name: entry for name, entry in FIELDS.items() if self.calibrated or not entry.in_mm}
+
+    @property
+    def front_known(self) -> bool:
         """Whether it is clear which side of `range_image` faces the camera: by a calibration, the settings or rims."""
-        return self.calibrated or self._measured.front_is_clear
+        return self.calibrated or self._measured.front_known
 
     @property
-    def order_is_known(self) -> npt.NDArray[np.bool_]:
+    def orders_known(self) -> npt.NDArray[np.bool_]:
         """(regions + 1,) bool: by region, whether its orders are absolute; False for 0, no region."""
         return self._measured.orders.known
 
@@ -304,7 +334,7 @@ class DecodedFrame:
 
         Relative is not metric: the unwrapped phase minus that of the reference, or minus the linear ramp that fits it
         best; times -1 where phase grows towards the camera, as `DecodeSettings.projector_side` or the rims of surfaces
-        tell (see `front_is_clear`).
+        tell (see `front_known`).
         """
         if self.points is not None:
             return np.ascontiguousarray(self.points[..., 2])
@@ -350,101 +380,6 @@ class DecodedFrame:
                 edges = edge_variance(found.crosstalk)
             return estimate_phase_sigma(*known, edges, self._setup.smoothing_pairs, self.period_px or 1.0)
 
-    @property
-    def memory(self) -> FrameMemory:
-        """What the next frame of a video may know of this one."""
-        measured = self._measured
-        surface = replace(measured.surface, unwrapped=measured.seen_phase)
-        return FrameMemory(self._setup.stripes, surface, measured.orders, measured.surfaces, measured.fields)
-
-    def plot(self, field: str = "range_image", ax: "Axes | None" = None) -> "FigureBase":
-        """Draw a field with its scale, in its unit, from its 1st to its 99th percentile.
-
-        Parameters
-        ----------
-        field : str
-            Which; one with a number, a flag or a colour a pixel.
-        ax : matplotlib.axes.Axes, optional
-            Where to draw; None: a figure of its own, which a notebook shows and `savefig` writes, without a screen.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            What it is drawn in.
-
-        Raises
-        ------
-        SettingsError
-            There is no such field, it is no picture, or not without a calibration.
-        """
-        entry = FIELDS.get(field)
-        pictures = [name for name in self._there() if FIELDS[name].axes in (("y", "x"), ("y", "x", "rgb"))]
-        if entry is None or field not in pictures:
-            raise SettingsError(f"cannot plot {field!r}: choose one of {', '.join(pictures)}")
-        unit = self.range_unit if entry.unit == "range" else entry.unit
-        return plot_image(getattr(self, field), field.replace("_", " "), unit, ax)
-
-    def to_xarray(self) -> "Dataset":
-        """Return all fields as an `xarray.Dataset`, with the units and coordinates of a ``result.zarr``.
-
-        Raises
-        ------
-        OutputError
-            xarray is not installed.
-        """
-        fields = {name: (FIELDS[name], getattr(self, name)) for name in self._there()}
-        return make_dataset(fields, self.mask.shape, self.range_unit, self.warnings)
-
-    def to_pyvista(self) -> "PolyData":
-        """Return the frame's mesh, as `frame_mesh` makes it, as `pyvista.PolyData`.
-
-        Its points have ``Normals``, ``colors`` (sRGB) and ``flags``, and what a mesh knows of its vertices, such as
-        ``sigma_mm``; its `field_data` has ``unit``, "mm" or "rad". Nothing is drawn.
-        """
-        return to_pyvista(self)
-
-    def _repr_html_(self) -> str | None:
-        return to_html(self)
-
-    def _there(self) -> list[str]:
-        """Return the names of the fields that this frame has."""
-        return [name for name, entry in FIELDS.items() if self.calibrated or not entry.in_mm]
-
-    def fetch(self, fields: Iterable[str]) -> None:
-        """Read from the device now what these fields are made of; looking at them later asks it nothing more."""
-        for name in {needed for wanted in fields for needed in FIELDS[wanted].needs}:
-            getattr(self, name)
-
-    def buffers_for(self, shape: tuple[int, int], setup: FrameSetup) -> tuple[PhaseBuffers, SurfaceBuffers]:
-        """Return this frame's buffers, to be written again for an image of this shape.
-
-        Raises
-        ------
-        ShapeError
-            They do not fit.
-        """
-        there = (self._measured.surface.mask.shape, self._setup.stripes, self.calibrated)
-        if there != (shape, setup.stripes, setup.rays is not None):
-            raise ShapeError("out is of another size, stripes or calibration: leave it away for this frame")
-        return self._measured.phases, self._measured.surface
-
-    @contextmanager
-    def emptied_on_error(self) -> Iterator[None]:
-        """Leave nothing in this frame where it was to be written again and could not."""
-        try:
-            yield
-        except BaseException:
-            phases, surface = self._measured.phases, self._measured.surface
-            clear_buffers(phases, surface)
-            self.become(replace(self, _measured=Measured(phases, surface)))
-            raise
-
-    def become(self, other: "DecodedFrame") -> "DecodedFrame":
-        """Take all that another frame holds, and forget what has been read; return this frame."""
-        vars(self).clear()
-        vars(self).update(vars(other))
-        return self
-
     def _read(self, buffer: Array[Any]) -> npt.NDArray[Any]:
         """Return a buffer on the host, turned as the image was."""
         with runtime.lock:
@@ -453,6 +388,52 @@ class DecodedFrame:
 
 #: Every field of a frame by name: the one table that store, reader, meshes and docs take them from.
 FIELDS = fields_of(DecodedFrame)
+
+
+def memory_of(frame: DecodedFrame) -> FrameMemory:
+    """Return what the next frame of a video may know of a frame."""
+    measured = frame._measured
+    surface = replace(measured.surface, unwrapped=measured.seen_phase)
+    return FrameMemory(frame._setup.stripes, surface, measured.orders, measured.surfaces, measured.fields)
+
+
+def read_back(frame: DecodedFrame, fields: Iterable[str]) -> None:
+    """Read from the device now what a frame's fields are made of; looking at them later asks it nothing more."""
+    for name in {needed for wanted in fields for needed in FIELDS[wanted].needs}:
+        getattr(frame, name)
+
+
+def buffers_of(frame: DecodedFrame, shape: tuple[int, int], setup: FrameSetup) -> tuple[PhaseBuffers, SurfaceBuffers]:
+    """Return a frame's buffers, to be written again for an image of a shape.
+
+    Raises
+    ------
+    ShapeError
+        They do not fit.
+    """
+    there = (frame._measured.surface.mask.shape, frame._setup.stripes, frame.calibrated)
+    if there != (shape, setup.stripes, setup.rays is not None):
+        raise ShapeError("out is of another size, stripes or calibration: leave it away for this frame")
+    return frame._measured.phases, frame._measured.surface
+
+
+@contextmanager
+def emptied_on_error(frame: DecodedFrame) -> Iterator[None]:
+    """Leave nothing in a frame that was to be written again and could not."""
+    try:
+        yield
+    except BaseException:
+        phases, surface = frame._measured.phases, frame._measured.surface
+        clear_buffers(phases, surface)
+        refill(frame, replace(frame, _measured=Measured(phases, surface)))
+        raise
+
+
+def refill(frame: DecodedFrame, other: DecodedFrame) -> DecodedFrame:
+    """Let a frame hold all that another one does, and forget what has been read; return it."""
+    vars(frame).clear()
+    vars(frame).update(vars(other))
+    return frame
 
 
 def _best_ramp(phase: Floats, mask: npt.NDArray[np.bool_]) -> Floats:

@@ -3,15 +3,19 @@
 Names and units are those of the CF (Climate and Forecast) conventions 1.11: https://cfconventions.org.
 """
 
+import json
 from collections.abc import Iterable
+from dataclasses import dataclass
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from pipeline.calibration import Calibration
 from pipeline.decoding.fields import Field
 from pipeline.errors import OutputError
+from pipeline.settings import DecodeSettings
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -41,6 +45,19 @@ _LABELS = {
         "the first frame, a row's own: y times row_s of the settings",
     },
 }
+
+_SINCE_FIRST = {"long_name": "time since the first frame", "units": "s"}
+_EXPOSED = {"long_name": "time at which the frame was exposed", "standard_name": "time"}
+
+
+def result_attributes(settings: DecodeSettings, calibration: Calibration | None) -> dict[str, Any]:
+    """Return what a result says about how it was made: settings, calibration's hash, version; and its range's unit."""
+    return {
+        "colorphase_version": version("colorphase"),
+        "settings": json.loads(settings.model_dump_json()),
+        "calibration_sha256": None if calibration is None else calibration.digest(),
+        "range_unit": "mm" if calibration is not None and calibration.has_geometry else "rad",
+    }
 
 
 def dataset_labels(made_by: str | None = None) -> dict[str, str]:
@@ -122,36 +139,41 @@ def frame_coordinates(
     numbers: Coordinate = (("frame",), np.arange(n_frames, dtype=np.int64), dict(_LABELS["frame"]))
     if seconds is None:
         return {"frame": numbers}
-    if since is None:
-        labels = {"long_name": "time since the first frame", "units": "s"}
-    else:
-        labels = {
-            "long_name": "time at which the frame was exposed",
-            "standard_name": "time",
-            "units": f"seconds since {since}",
-            "calendar": "standard",
-        }
-    return {"frame": numbers, "time": (("frame",), seconds, labels)}
+    labels = _SINCE_FIRST
+    if since is not None:
+        labels = {**_EXPOSED, "units": f"seconds since {since}", "calendar": "standard"}
+    return {"frame": numbers, "time": (("frame",), seconds, dict(labels))}
 
 
-def make_dataset(
-    fields: dict[str, tuple[Field[Any], npt.NDArray[Any]]],
-    shape: tuple[int, ...],
-    range_unit: str,
-    warnings: Iterable[str],
-) -> "Dataset":
-    """Return a frame's fields, with all that is said of them, as an `xarray.Dataset`.
+@dataclass(frozen=True)
+class FrameLabels:
+    """What a frame says of itself beside its fields."""
 
-    Parameters
-    ----------
-    fields : dict of (Field, array)
-        By their names.
-    shape : (2,) int
-        Rows and columns of the frame.
-    range_unit : str
-        Of ranges, "mm" or "rad".
-    warnings : iterable of str
-        What the user should know, which becomes the ``comment``.
+    range_unit: str
+    """Of ranges, "mm" or "rad"."""
+    warnings: tuple[str, ...] = ()
+    """What the user should know, which becomes the ``comment``."""
+    number: int | None = None
+    """The frame's, in its footage."""
+    time_s: float | None = None
+    """When it was taken."""
+    dated: bool = False
+    """Whether that is since 1970, and not since the first frame."""
+
+    def coordinates(self) -> dict[str, Any]:
+        """Return the frame's number and its time as coordinates without an axis, as far as they are known."""
+        found: dict[str, Any] = {}
+        if self.number is not None:
+            found["frame"] = ((), self.number, dict(_LABELS["frame"]))
+        if self.time_s is not None and self.dated:
+            found["time"] = ((), np.datetime64(round(1e9 * self.time_s), "ns"), dict(_EXPOSED))
+        elif self.time_s is not None:
+            found["time"] = ((), self.time_s, dict(_SINCE_FIRST))
+        return found
+
+
+def make_dataset(fields: dict[str, tuple[Field[Any], npt.NDArray[Any]]], labels: FrameLabels) -> "Dataset":
+    """Return a frame's fields, by their names, with all that is said of them, as an `xarray.Dataset`.
 
     Raises
     ------
@@ -162,11 +184,12 @@ def make_dataset(
         import xarray  # slow to import, and of the extra `xarray`
     except ImportError:
         raise OutputError("xarray is not installed: pip install 'colorphase[xarray]'") from None
-    arrays = {
-        name: (field.axes, values, field_labels(name, field, range_unit)) for name, (field, values) in fields.items()
-    }
+    unit = labels.range_unit
+    arrays = {name: (field.axes, values, field_labels(name, field, unit)) for name, (field, values) in fields.items()}
     axes = {axis for field, _ in fields.values() for axis in field.axes}
-    labels = {**dataset_labels(), "range_unit": range_unit}
-    if comment := "\n".join(warnings):
-        labels["comment"] = comment
-    return xarray.Dataset(arrays, axis_coordinates(axes, (shape[1], shape[0])), labels)
+    height, width = next((values.shape[:2] for field, values in fields.values() if field.axes), (0, 0))
+    known = {**axis_coordinates(axes, (width, height)), **labels.coordinates()}
+    about = {**dataset_labels(), "range_unit": unit}
+    if comment := "\n".join(labels.warnings):
+        about["comment"] = comment
+    return xarray.Dataset(arrays, known, about)

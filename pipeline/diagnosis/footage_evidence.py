@@ -509,7 +509,7 @@ def _known_crosstalk(decoder: Decoder | None) -> FloatArray | None:
     """Return the crosstalk that is given, or that a frame showed; None: none that explains how its channels differ."""
     if decoder is None:
         return None
-    known, light = decoder.settings.crosstalk_matrix, decoder.light
+    known, light = decoder.settings.crosstalk_matrix, decoder.state.light
     if known is None and light is not None and light.reliable and light.misfit < MAX_CONSTANT:
         return light.crosstalk_matrix
     return known

@@ -31,7 +31,7 @@ class PictureReader:
     @property
     def code(self) -> CodeName | None:
         """The pattern's code, by all that has been read."""
-        return self._decoder.code
+        return self._decoder.state.code
 
     @classmethod
     def of_one(cls, source: Footage, calibration: Calibration, settings: DecodeSettings, arch: str) -> "PictureReader":

@@ -338,11 +338,11 @@ def correct_light(
         raise CalibrationError("no fault was found that one frame can correct: do what the check advises")
     if not isinstance(transfer, str) or transfer != "linear":
         image, white_level = runtime.to_host(linearize(image, transfer, white_level)), 1.0
-    decoder = Decoder(DecodeSettings.model_validate({"stripes": frame.memory.stripes, "white_level": white_level}))
+    decoder = Decoder(DecodeSettings.model_validate({"stripes": frame.settings.stripes, "white_level": white_level}))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DecodeWarning)
         decoder.decode(image)
-    light = decoder.light
+    light = decoder.state.light
     if light is None or not light.reliable:
         raise CalibrationError("the frame shows too little of the light to correct it: capture a larger smooth surface")
     update: dict[str, Any] = {"crosstalk_matrix": light.crosstalk_matrix}

@@ -17,8 +17,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from pipeline.calibration import Calibration
-from pipeline.decoding.frame import DecodedFrame
+from pipeline.decoding.frame import DecodedFrame, read_back
 from pipeline.errors import DamageError, FootageError, OutputError
 from pipeline.files import explain, sync
 from pipeline.limits import open_plain, read_plain
@@ -27,9 +26,8 @@ from pipeline.output.formats.ply import ply_bytes
 from pipeline.output.mesh import provenance_of
 from pipeline.output.mesh_files import write_mesh
 from pipeline.output.range_image import shade_range, write_png, write_range_image
-from pipeline.output.store import WORTH_SAYING, chosen_fields, holds_footage, in_bytes, is_there, write_store
+from pipeline.output.store import WORTH_SAYING, holds_footage, in_bytes, is_there, write_store
 from pipeline.output.surface_mesh import MeshOptions, counted_mesh
-from pipeline.settings import DecodeSettings
 
 #: The result in an output folder.
 STORE = "result.zarr"
@@ -213,8 +211,6 @@ def refuse_others(folder: Path, names: Collection[str]) -> None:
 def write_frame(
     folder: Path,
     frame: DecodedFrame,
-    settings: DecodeSettings,
-    calibration: Calibration | None,
     report: dict[str, Any],
     part: MeshOptions | None = _WHOLE,
     tell: Callable[[str], None] = lambda what: None,
@@ -231,8 +227,7 @@ def write_frame(
         The folder cannot be written.
     """
     tell("reading every field")
-    for name in chosen_fields(None, in_mm=frame.calibrated):
-        getattr(frame, name)
+    read_back(frame, frame.fields)
 
     # Storing is compressing and writing, beside which the mesh is made; the picture is made while the mesh is written.
     # Nothing is imported beside: Python 3.11 fails where two threads parse source at once, as compiling a kernel does.
@@ -240,12 +235,12 @@ def write_frame(
 
     with ThreadPoolExecutor(1, "beside") as beside:
         tell("meshing and storing")
-        stored = beside.submit(write_store, folder / STORE, frame, settings, calibration)
+        stored = beside.submit(write_store, folder / STORE, frame)
         shaded = beside.submit(_write_shaded, folder / "shaded.png", frame)
         written = [stored, shaded]
         if part is not None:
             mesh, counts = counted_mesh(frame, part)
-            mesh = replace(mesh, provenance=provenance_of(report))
+            mesh = replace(mesh, provenance=provenance_of(report))  # which names its source
             report = {**report, "mesh": asdict(counts)}
             tell(f"writing a mesh of {len(mesh.faces):,} triangles, and drawing range.png")
             if (size := ply_bytes(mesh)) >= WORTH_SAYING:

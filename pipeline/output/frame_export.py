@@ -28,7 +28,7 @@ from pipeline.output.formats.table import FORMATS, Kind, encode_as
 from pipeline.output.mesh import Mesh, RangeGrid, provenance_of
 from pipeline.output.store import WORTH_SAYING, in_bytes
 from pipeline.output.stored_result import StoredResult, mesh_fields
-from pipeline.output.surface_mesh import MeshOptions
+from pipeline.output.surface_mesh import MeshOptions, counted_mesh, frame_grid
 
 _RECORD = "exported.json"
 _ITEMS = "items"
@@ -148,7 +148,7 @@ class _Maker:
         FootageError
             A frame's mark is damaged.
         """
-        frames = [self._result.frame_digest(number) for number in numbers]
+        frames = [self._result.frame(number).digest for number in numbers]
         whole = [version("colorphase"), asdict(self._options), self._farthest_mm, frames]
         return hashlib.sha256(json.dumps(whole).encode()).hexdigest()[:32]
 
@@ -163,16 +163,16 @@ class _Maker:
             The format cannot hold it.
         """
         if self._form.holds_all_frames:
-            grids = (self._result.grid(number) for number in numbers)
+            grids = (frame_grid(self._result.frame(number)) for number in numbers)
             write_bag(work / name, grids, provenance_of(self._result.attributes))
             return [f"{name}/{entry.name}" for entry in sorted((work / name).iterdir())], {}
         number, counts = numbers[0], {}
         shape: Mesh | RangeGrid | None = None
         if self._form.encode_mesh is not None:
-            mesh, counted = self._result.counted_mesh(number, options=self._options)
+            mesh, counted = counted_mesh(self._result.frame(number), self._options)
             shape, counts = (mesh if len(mesh.faces) else None), asdict(counted)
         else:
-            grid = self._result.grid(number)
+            grid = frame_grid(self._result.frame(number))
             shape = grid if np.isfinite(grid.depth).any() else None
         if shape is None:
             return [], counts
@@ -186,7 +186,7 @@ class _Maker:
         farthest = 0.0
         for number in self._result.done:
             with suppress(FootageError):
-                depth = self._result.grid(number).depth
+                depth = frame_grid(self._result.frame(number)).depth
                 farthest = max(farthest, float(np.nanmax(depth, initial=0.0, where=np.isfinite(depth))))
         return farthest
 

@@ -1,22 +1,28 @@
-"""Displays of frames, results, meshes and calibrations in a notebook, and a frame as PyVista's data.
+"""Displays of frames, results, meshes and calibrations in a notebook, and a frame as PyVista's data or a file.
 
 Nothing here draws with VTK, which dies where there is no GL: pictures are shaded range images.
 """
 
 import math
-from typing import Any
+from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from pipeline.calibration import Calibration
 from pipeline.decoding.frame import DecodedFrame
-from pipeline.errors import FootageError
+from pipeline.decoding.frame_fields import FrameFields
+from pipeline.errors import FootageError, OutputError
+from pipeline.files import write_atomically
+from pipeline.output.formats.table import FORMATS, Kind, encode_as
 from pipeline.output.mesh import Mesh, flag_counts
+from pipeline.output.mesh_files import write_mesh
 from pipeline.output.range_image import encode_png, shade_range
+from pipeline.output.store import write_store
 from pipeline.output.stored_result import StoredResult
-from pipeline.output.surface_mesh import frame_mesh
-from pipeline.showing import html_block, to_html, to_pyvista
+from pipeline.output.surface_mesh import frame_grid, frame_mesh
+from pipeline.showing import html_block, save_frame, to_html, to_pyvista
 
 Floats = npt.NDArray[np.float32]
 Pixels = npt.NDArray[np.bool_]
@@ -39,7 +45,7 @@ def _frame_html(frame: DecodedFrame) -> str:
         "period": period,
         "noise": f"{frame.noise_levels:.3g} grey levels",
         **_range_figures(frame.range_image, mask, unit),
-        "regions": str(len(frame.order_is_known) - 1),
+        "regions": str(len(frame.orders_known) - 1),
         "absolute": _share(frame.absolute[mask]),
         "phase sigma, median": _median(frame.phase_sigma[mask], "rad"),
     }
@@ -62,15 +68,14 @@ def _result_html(result: StoredResult) -> str:
     }
     picture, warnings = None, [] if result.done else ["no frame is done"]
     if result.done:
-        number = result.done[0]
+        frame = result[0]
         try:
-            warnings = [f"frame {number}: {text}" for text in result.warnings(number)]
-            ranges = "points" if "points" in result.fields else "range_image"
-            if {"mask", ranges} <= result.fields:
-                values, mask = result.read(ranges, number), result.read("mask", number)
-                points = values if ranges == "points" else None
-                depth = values[..., 2] if ranges == "points" else values
-                figures |= {f"frame {number}, {name}": text for name, text in _range_figures(depth, mask, unit).items()}
+            warnings = [f"frame {frame.number}: {text}" for text in frame.warnings]
+            if {"mask", "points"} <= result.fields or {"mask", "range_image"} <= result.fields:
+                points = frame.points if "points" in result.fields else None
+                depth, mask = frame.range_image if points is None else points[..., 2], frame.mask
+                spans = _range_figures(depth, mask, unit)
+                figures |= {f"frame {frame.number}, {name}": text for name, text in spans.items()}
                 picture = _thumbnail(depth, mask, points)
         except FootageError as error:
             warnings.append(str(error))
@@ -145,8 +150,28 @@ def mesh_surface(mesh: Mesh) -> Any:
 
 
 @to_pyvista.register
-def _frame_surface(frame: DecodedFrame) -> Any:
+def _frame_surface(frame: FrameFields) -> Any:
     return mesh_surface(frame_mesh(frame))
+
+
+@save_frame.register
+def _save_frame(frame: FrameFields, path: Path) -> None:
+    kind = path.suffix.lower()
+    if kind == ".zarr" and isinstance(frame, DecodedFrame):
+        write_store(path, frame)
+        return
+    form = FORMATS.get(cast(Kind, kind.removeprefix(".")))
+    if form is None or form.holds_all_frames:
+        known = ", ".join(f".{name}" for name, form in FORMATS.items() if not form.holds_all_frames)
+        stored = ", .zarr" if isinstance(frame, DecodedFrame) else ""
+        raise OutputError(f"cannot write {path}: unknown format {path.suffix!r}, use one of {known}{stored}")
+    if form.encode_mesh is not None:
+        write_mesh(frame_mesh(frame), path)
+        return
+    grid = frame_grid(frame)
+    farthest_mm = float(np.nanmax(grid.depth, initial=0.0, where=np.isfinite(grid.depth)))
+    for suffix, content in encode_as(form, grid, path.stem, farthest_mm).items():
+        write_atomically(path.with_suffix(suffix), content)
 
 
 def _range_figures(values: Floats, mask: Pixels, unit: str) -> dict[str, str]:

@@ -1,16 +1,13 @@
 """The quality of a result in numbers: ``report.json``, and the error of a simulated frame's result."""
 
-from collections.abc import Callable
 from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.calibration import Calibration
 from pipeline.decoding.frame import DecodedFrame
-from pipeline.output.store import result_attributes
-from pipeline.settings import DecodeSettings
+from pipeline.decoding.frame_fields import FrameFields
 from pipeline.simulation import SimulatedFrame
 from pipeline.text import one_line
 from tikernels import runtime
@@ -23,16 +20,15 @@ _LIT_LEVELS = 20.0
 _RIM_PX = 4
 
 
-def frame_report(
-    frame: DecodedFrame, settings: DecodeSettings, calibration: Calibration | None, source: str
-) -> dict[str, Any]:
+def frame_report(frame: DecodedFrame, source: str) -> dict[str, Any]:
     """Return what ``report.json`` holds of one decoded frame."""
+    calibration = frame.calibration
     sizes = np.bincount(frame.region.ravel())[1:]
     values = frame.range_image[frame.mask]
     values = values[np.isfinite(values)]
     return {
         "source": one_line(source),
-        **result_attributes(settings, calibration),
+        **frame.attributes,
         "scale_proof": None if calibration is None else calibration.scale_proof,
         "arch": runtime.started(),
         "kernel_language": runtime.kernel_language(),
@@ -42,8 +38,8 @@ def frame_report(
         "valid_fraction": float(frame.mask.mean()),
         "regions_px": sizes.tolist(),
         "orders_are_absolute": bool(frame.absolute[frame.mask].all()) if frame.mask.any() else False,
-        "range_unit": "mm" if frame.calibrated else "rad",
-        "front_is_clear": frame.front_is_clear,
+        "range_unit": frame.range_unit,
+        "front_known": frame.front_known,
         "range_percentiles_1_50_99": np.percentile(values, (1, 50, 99)).tolist() if len(values) else None,
         "phase_constant_known": frame.constant_known,
         "phase_constant_sigma_rad": float(frame.constant_sigma) if np.isfinite(frame.constant_sigma) else None,
@@ -52,26 +48,28 @@ def frame_report(
     }
 
 
-def depth_in_words(read: Callable[[str], npt.NDArray[Any] | None], *, in_mm: bool, front_is_clear: bool) -> str | None:
+def depth_in_words(frame: FrameFields, *, front_known: bool) -> str | None:
     """Say between what a frame's depth is only relative, and what would tell; None: every order is absolute.
 
     Parameters
     ----------
-    read : callable
-        Returns a field of the frame by its name; None: it was not stored.
-    in_mm : bool
-        Whether the frame has places in mm.
-    front_is_clear : bool
+    frame : FrameFields
+        Decoded, or stored with as many of its fields as there are.
+    front_known : bool
         Whether it is clear which side of what is seen faces the camera.
     """
+
+    def read(name: str) -> npt.NDArray[Any] | None:
+        return getattr(frame, name) if name in frame.fields else None
+
     mask, absolute, region = read("mask"), read("absolute"), read("region")
     if mask is not None and not mask.any():
         return None
-    if not in_mm:
+    if not frame.calibrated:
         guess = "; which side is in front is a guess, and projector_side in the settings tells"
         return (
             "depth is relative, in rad of phase and not in mm: give a --calibration with the rig's geometry"
-            f"{'' if front_is_clear else guess}"
+            f"{'' if front_known else guess}"
         )
     if mask is None or absolute is None or not (unknown := mask & ~absolute).any():
         return None

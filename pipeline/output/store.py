@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterable, Sequence, Set
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +36,6 @@ from pipeline.output.store_files import (
     read_mark,
     read_metadata,
 )
-from pipeline.settings import DecodeSettings
 from pipeline.zarr_chunks import chunk_key, encode_chunk
 
 # Threads that look whether frames are whole: reading and checksums leave the interpreter alone.
@@ -50,16 +48,6 @@ _CHUNK_HEAD_BYTES = 20
 _SURELY = 2.0
 # Bytes; less is no question on any disk.
 WORTH_SAYING = 100e6
-
-
-def result_attributes(settings: DecodeSettings, calibration: Calibration | None) -> dict[str, Any]:
-    """Return what a result says about how it was made: settings, calibration's hash, version; and its range's unit."""
-    return {
-        "colorphase_version": version("colorphase"),
-        "settings": json.loads(settings.model_dump_json()),
-        "calibration_sha256": None if calibration is None else calibration.digest(),
-        "range_unit": "mm" if calibration is not None and calibration.has_geometry else "rad",
-    }
 
 
 def camera_attribute(calibration: Calibration | None) -> dict[str, Any]:
@@ -323,17 +311,8 @@ def holds_footage(location: Path) -> bool:
     return found is not None and found.says.footage is not None
 
 
-def write_store(path: Path, frame: DecodedFrame, settings: DecodeSettings, calibration: Calibration | None) -> None:
-    """Write one frame as a new store.
-
-    Parameters
-    ----------
-    path : Path
-        The folder to make.
-    frame : DecodedFrame
-        What to store: each field becomes an array whose first axis is the frame, one chunk per frame.
-    settings, calibration
-        How it was decoded; kept as attributes.
+def write_store(path: Path, frame: DecodedFrame) -> None:
+    """Write one frame as a new store: each field becomes an array whose first axis is the frame, one chunk per frame.
 
     Raises
     ------
@@ -342,8 +321,8 @@ def write_store(path: Path, frame: DecodedFrame, settings: DecodeSettings, calib
     """
     height, width = frame.mask.shape
     fields = chosen_fields(None, in_mm=frame.calibrated)
-    attributes, camera = result_attributes(settings, calibration), camera_attribute(calibration)
-    store = ResultStore.make(path, attributes, fields, 1, (width, height), camera)
+    camera = camera_attribute(frame.calibration)
+    store = ResultStore.make(path, frame.attributes, fields, 1, (width, height), camera)
     store.commit([store.write(0, frame)])
 
 

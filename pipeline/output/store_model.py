@@ -7,6 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from pipeline.calibration.lens import Lens
 from pipeline.decoding.front_side import RimVotes
+from pipeline.decoding.rig_state import RigState
 from pipeline.decoding.self_calibration import LightEstimate
 from pipeline.errors import DamageError
 from pipeline.limits import MOST_FRAMES
@@ -45,9 +46,9 @@ class StoreAttributes(_Said):
     camera: Lens | None = None
 
     @property
-    def rim_votes(self) -> RimVotes:
-        """Which side is in front, by the rims of frames."""
-        return RimVotes(**self.rims)
+    def state(self) -> RigState:
+        """What frames have told of the rig, after which none is asked."""
+        return RigState(self.light, self.code, RimVotes(**self.rims), frozenset())
 
 
 class GroupSays(_Said):

@@ -1,19 +1,17 @@
-"""Frames of a ``result.zarr``, read one at a time."""
+"""Frames of a ``result.zarr``, each read when it is looked at."""
 
 import json
 import warnings
-from collections.abc import Collection
-from dataclasses import replace
+from collections.abc import Iterator
+from functools import cached_property
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-import numpy.typing as npt
+from typing import Any, overload
 
 from pipeline.calibration.lens import Lens
+from pipeline.decoding.fields import Field
 from pipeline.decoding.frame import FIELDS
+from pipeline.decoding.frame_fields import FrameFields
 from pipeline.errors import DamageError, DecodeWarning, FootageError
-from pipeline.output.mesh import Mesh, RangeGrid, provenance_of
 from pipeline.output.store_files import (
     DONE,
     FrameMark,
@@ -25,7 +23,6 @@ from pipeline.output.store_files import (
     read_mark,
     read_metadata,
 )
-from pipeline.output.surface_mesh import MeshCounts, MeshOptions, surface_mesh
 from pipeline.showing import to_html
 from pipeline.zarr_chunks import decode_chunk
 
@@ -35,8 +32,71 @@ def mesh_fields(*, in_mm: bool) -> tuple[str, str]:
     return "mask", "points" if in_mm else "range_image"
 
 
+class ResultFrame(FrameFields):
+    """A frame of a result: a decoded frame's fields, as far as they are stored, each read when first looked at.
+
+    A field that was not stored, or whose chunk is damaged, raises a `FootageError`; without a calibration `points` and
+    `point_sigma` are None.
+    """
+
+    number: int
+
+    def __init__(self, result: "StoredResult", number: int) -> None:
+        self._result = result
+        self.number = number
+        times = result._metadata.times
+        self.time_s = None if times is None else times.of(number)
+        self.dated = times is not None and times.since is not None
+
+    def __getattr__(self, name: str) -> Any:
+        if name == "warnings":
+            found: Any = tuple(self._mark.warnings)
+        elif name not in FIELDS:
+            raise AttributeError(f"a frame of a result has no {name}")
+        elif self.calibrated or not FIELDS[name].in_mm:
+            found = self._result._read(name, self.number, self._mark)
+        else:
+            found = None
+        vars(self)[name] = found
+        return found
+
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *self.fields]
+
+    @property
+    def fields(self) -> dict[str, Field[Any]]:
+        """The fields that are stored, by name."""
+        return {name: entry for name, entry in FIELDS.items() if name in self._result.fields}
+
+    @property
+    def calibrated(self) -> bool:
+        """Whether `range_image` is a depth in mm."""
+        return self._result.in_mm
+
+    @property
+    def camera(self) -> Lens | None:
+        """The camera whose pixels it has; None: without a calibration."""
+        return self._result.camera
+
+    @property
+    def attributes(self) -> dict[str, Any]:
+        """What the store says of how it was decoded."""
+        return self._result.attributes
+
+    @property
+    def digest(self) -> str:
+        """A text that distinguishes the frame from all others, also from itself decoded otherwise."""
+        return json.dumps(vars(self._mark), sort_keys=True)
+
+    @cached_property
+    def _mark(self) -> FrameMark:
+        return self._result._mark_of(self.number)
+
+
 class StoredResult:
-    """A result that `colorphase decode` has stored.
+    """A result that `colorphase decode` has stored: a sequence of its frames that are whole, in their order.
+
+    ``result[0]`` is the first of them, ``result[-1]`` the last, ``result.frame(17)`` the footage's frame 17.
 
     Parameters
     ----------
@@ -85,7 +145,40 @@ class StoredResult:
                 DecodeWarning,
                 stacklevel=2,
             )
-        self._mark: tuple[int, FrameMark] | None = None  # of the frame that was read last
+
+    def __len__(self) -> int:
+        return len(self.done)
+
+    def __iter__(self) -> Iterator[ResultFrame]:
+        return (ResultFrame(self, number) for number in self.done)
+
+    @overload
+    def __getitem__(self, place: int) -> ResultFrame: ...
+
+    @overload
+    def __getitem__(self, place: slice) -> list[ResultFrame]: ...
+
+    def __getitem__(self, place: int | slice) -> ResultFrame | list[ResultFrame]:
+        if isinstance(place, slice):
+            return [ResultFrame(self, number) for number in self.done[place]]
+        return ResultFrame(self, self.done[place])
+
+    def __repr__(self) -> str:
+        width, height = self.size_px
+        fields = ", ".join(sorted(self.fields))
+        return f"<StoredResult {self.name}: {len(self)} frames of {width}x{height} px, {fields}>"
+
+    def frame(self, number: int) -> ResultFrame:
+        """Return a frame by its number in the footage; one that is not `done` fails when a field is looked at.
+
+        Raises
+        ------
+        FootageError
+            The footage has no such frame.
+        """
+        if not 0 <= number < self._metadata.n_frames:
+            raise FootageError(f"{self.name} has frames 0 to {self._metadata.n_frames - 1}, and no {number}")
+        return ResultFrame(self, number)
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -98,10 +191,10 @@ class StoredResult:
         return self._metadata.says.range_unit == "mm"
 
     @property
-    def front_is_clear(self) -> bool:
+    def front_known(self) -> bool:
         """Whether it is clear which side of the ranges faces the camera: by a calibration, the settings or rims."""
         says = self._metadata.says
-        return self.in_mm or says.settings.get("projector_side") is not None or says.rim_votes.clear
+        return self.in_mm or says.settings.get("projector_side") is not None or says.state.rims.clear
 
     @property
     def wanted(self) -> range:
@@ -110,19 +203,11 @@ class StoredResult:
             return range(0)
         return range(self.done[0], self.done[-1] + 1, self._metadata.says.step)
 
-    def read(self, name: str, number: int) -> npt.NDArray[Any]:
-        """Return a field of a frame.
-
-        Raises
-        ------
-        FootageError
-            The field was not stored, or its chunk is damaged.
-        """
+    def _read(self, name: str, number: int, mark: FrameMark) -> Any:
         self.require(name)
         try:
             shape = self._metadata.shapes[name]
-            chunk = read_chunk(self._files, number, name, shape, self._mark_of(number))
-            return decode_chunk(chunk, FIELDS[name].dtype, shape[1:])
+            return decode_chunk(read_chunk(self._files, number, name, shape, mark), FIELDS[name].dtype, shape[1:])
         except DamageError as error:
             raise self._damaged(number, error) from None
 
@@ -148,27 +233,15 @@ class StoredResult:
         if not self.in_mm:
             raise FootageError(f"{self.name} is in rad, not in mm: decode with a --calibration that holds the geometry")
 
-    def frame_digest(self, number: int) -> str:
-        """Return a text that distinguishes a frame from all others, also from itself decoded otherwise.
-
-        Raises
-        ------
-        FootageError
-            Its mark is damaged.
-        """
-        return json.dumps(vars(self._mark_of(number)), sort_keys=True)
-
     def fault(self, number: int) -> str | None:
         """Return what is wrong with a frame that is done; None: all of it is as it was written."""
         return frame_fault(self._files, number, self._metadata.shapes, self._identity)
 
     def _mark_of(self, number: int) -> FrameMark:
-        if self._mark is None or self._mark[0] != number:
-            try:
-                self._mark = number, read_mark(self._files, number, self._identity)
-            except DamageError as error:
-                raise self._damaged(number, error) from None
-        return self._mark[1]
+        try:
+            return read_mark(self._files, number, self._identity)
+        except DamageError as error:
+            raise self._damaged(number, error) from None
 
     def _damaged(self, number: int, error: DamageError) -> FootageError:
         return FootageError(f"{self.name}: frame {number}: {error}: decode again as before, which repairs it")
@@ -177,88 +250,6 @@ class StoredResult:
     def camera(self) -> Lens | None:
         """The camera whose pixels the frames have; None: without a calibration."""
         return self._metadata.says.camera
-
-    def provenance(self, number: int) -> dict[str, str]:
-        """Return how a frame was made, as files carry it."""
-        return provenance_of(self.attributes, number, self.time_s(number))
-
-    def mesh(self, number: int, fields: Collection[str] | None = None, options: MeshOptions | None = None) -> Mesh:
-        """Return a frame as a mesh; see `counted_mesh`."""
-        return self.counted_mesh(number, fields, options)[0]
-
-    def counted_mesh(
-        self, number: int, fields: Collection[str] | None = None, options: MeshOptions | None = None
-    ) -> tuple[Mesh, MeshCounts]:
-        """Return a frame as a mesh, and what became of its pixels.
-
-        Parameters
-        ----------
-        number : int
-            The frame.
-        fields : collection of str, optional
-            What the mesh is to carry, as far as it is stored; None: all.
-        options : MeshOptions, optional
-            What to leave out, and whether to smooth.
-
-        Raises
-        ------
-        FootageError
-            What it is made of was not stored, or is damaged.
-        SettingsError
-            The options ask for mm, and there are none.
-        """
-        points = self.read("points", number) if self.in_mm else None
-        values = self.read("range_image", number) if points is None else points[..., 2]
-        mask = self.read("mask", number) & np.isfinite(values)
-        asked = self.fields if fields is None else self.fields & set(fields)
-        properties = {
-            field.vertex: self.read(name, number)[mask]
-            for name, field in FIELDS.items()
-            if field.vertex is not None and name in asked
-        }
-        region, texture = (self.read(name, number) if name in asked else None for name in ("region", "texture"))
-        mesh, counts = surface_mesh(values, mask, points, properties, region, options, texture)
-        return replace(mesh, provenance=self.provenance(number)), counts
-
-    def grid(self, number: int) -> RangeGrid:
-        """Return a frame's places with all that is stored of them, in the camera's grid.
-
-        Raises
-        ------
-        FootageError
-            There are no places in mm, or the frame is damaged.
-        """
-        self.require_mm()
-        mask = self.read("mask", number)
-        points = np.where(mask[..., None], self.read("points", number), np.float32(np.nan))
-        time_s = self.time_s(number)
-        return RangeGrid(
-            points,
-            self.read("texture", number) if "texture" in self.fields else None,
-            {
-                field.vertex: np.where(mask, self.read(name, number), np.float32(np.nan))
-                for name, field in FIELDS.items()
-                if field.vertex is not None and name in self.fields
-            },
-            self.camera,
-            float(number) if time_s is None else time_s,  # pictures, as if one per second
-            self.provenance(number),
-        )
-
-    def time_s(self, number: int) -> float | None:
-        """Return when a frame was taken, s, since 1970 or since the first frame; None: the footage does not say."""
-        times = self._metadata.times
-        return None if times is None else times.of(number)
-
-    def warnings(self, number: int) -> list[str]:
-        """Return what the user should know of a frame.
-
-        Raises
-        ------
-        FootageError
-            Its mark is damaged.
-        """
-        return list(self._mark_of(number).warnings)
 
     def _repr_html_(self) -> str | None:
         return to_html(self)

@@ -12,6 +12,7 @@ References
    doi:10.1145/133994.134010.
 """
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -19,10 +20,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.decoding.frame import FIELDS, DecodedFrame
-from pipeline.errors import SettingsError
+from pipeline.decoding.frame_fields import FrameFields
+from pipeline.errors import FootageError, SettingsError
 from pipeline.output.background import inside_box, on_largest_plane
-from pipeline.output.mesh import FILLED, RIM, SMOOTHED, Mesh, RangeGrid, Unit, flag_counts
+from pipeline.output.mesh import FILLED, RIM, SMOOTHED, Mesh, RangeGrid, Unit, flag_counts, provenance_of
 from pipeline.output.range_surface import (
     MAX_SLOPE,
     FilledHoles,
@@ -86,15 +87,17 @@ class MeshCounts:
     """Pixels connected to their surface by less than a square of four."""
 
 
-def frame_mesh(frame: DecodedFrame, options: MeshOptions | None = None) -> Mesh:
+def frame_mesh(frame: FrameFields, options: MeshOptions | None = None, fields: Collection[str] | None = None) -> Mesh:
     """Join a frame's pixels into a mesh, cut at depth steps.
 
     Parameters
     ----------
-    frame : DecodedFrame
-        Any decoded frame; it stays as it is.
+    frame : FrameFields
+        Any frame, decoded or stored; it stays as it is.
     options : MeshOptions, optional
         What to leave out, and whether to smooth.
+    fields : collection of str, optional
+        What the mesh is to carry, as far as the frame has it; None: all.
 
     Returns
     -------
@@ -107,20 +110,53 @@ def frame_mesh(frame: DecodedFrame, options: MeshOptions | None = None) -> Mesh:
     ------
     SettingsError
         A box or the background is to be left out without a calibration, or the box is none.
+    FootageError
+        What the mesh is made of is not stored, or damaged.
     """
-    return counted_mesh(frame, options)[0]
+    return counted_mesh(frame, options, fields)[0]
 
 
-def counted_mesh(frame: DecodedFrame, options: MeshOptions | None = None) -> tuple[Mesh, MeshCounts]:
+def counted_mesh(
+    frame: FrameFields, options: MeshOptions | None = None, fields: Collection[str] | None = None
+) -> tuple[Mesh, MeshCounts]:
     """Return a frame's mesh, and what became of its points; see `frame_mesh`."""
-    mask = frame.mask & np.isfinite(frame.range_image)
+    points = frame.points
+    values = frame.range_image if points is None else points[..., 2]
+    mask = frame.mask & np.isfinite(values)
+    asked = frame.fields.keys() if fields is None else frame.fields.keys() & set(fields)
     properties = {
         field.vertex: getattr(frame, name)[mask]
-        for name, field in FIELDS.items()
-        if field.vertex is not None and (frame.calibrated or not field.in_mm)
+        for name, field in frame.fields.items()
+        if field.vertex is not None and name in asked
     }
-    known = (frame.range_image, mask, frame.points, properties, frame.region)
-    return surface_mesh(*known, options or MeshOptions(), frame.texture)
+    region, texture = (getattr(frame, name) if name in asked else None for name in ("region", "texture"))
+    mesh, counts = surface_mesh(values, mask, points, properties, region, options, texture)
+    return replace(mesh, provenance=provenance_of(frame.attributes, frame.number, frame.time_s)), counts
+
+
+def frame_grid(frame: FrameFields) -> RangeGrid:
+    """Return a frame's places with all that is known of them, in the camera's grid.
+
+    Raises
+    ------
+    FootageError
+        There are no places in mm, or the frame is damaged.
+    """
+    mask, points = frame.mask, frame.points
+    if points is None:
+        raise FootageError("the frame is in rad, not in mm: decode with a calibration that holds the geometry")
+    return RangeGrid(
+        np.where(mask[..., None], points, np.float32(np.nan)),
+        frame.texture if "texture" in frame.fields else None,
+        {
+            field.vertex: np.where(mask, getattr(frame, name), np.float32(np.nan))
+            for name, field in frame.fields.items()
+            if field.vertex is not None
+        },
+        frame.camera,
+        float(frame.number or 0) if frame.time_s is None else frame.time_s,  # pictures, as if one per second
+        provenance_of(frame.attributes, frame.number, frame.time_s),
+    )
 
 
 def grid_mesh(grid: RangeGrid) -> Mesh:

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from support.colored_boards import PAINTS, board, board_decoder, light, surface_matrix
 
+from pipeline.decoding.frame import memory_of
 from tikernels import runtime
 
 _DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -77,7 +78,7 @@ def draw_surfaces(path: Path) -> None:
     image, phase, _ = board(_PAINTED, (200, 280), noise=_NOISE)
     found = board_decoder().decode(image)
     alike = board_decoder(reflectance_bands="broad").decode(image)
-    surfaces = found.memory.surfaces
+    surfaces = memory_of(found).surfaces
     assert surfaces is not None, "no surfaces were found"
     labels = runtime.to_host(surfaces.crosstalk.surfaces.labels)
     figure, axes = plt.subplots(1, 4, figsize=(9.6, 2.4))

@@ -26,7 +26,8 @@ from pipeline.batch.executors import usable_cores
 from pipeline.batch.job import Job
 from pipeline.batch.run import decode_footage
 from pipeline.batch.worker import _WRITERS
-from pipeline.decoding.front_side import RimVotes
+from pipeline.decoding.frame import read_back
+from pipeline.decoding.rig_state import RigState
 from pipeline.footage.footage import StoredAs
 from pipeline.output.store import chosen_fields
 from tikernels import runtime
@@ -48,8 +49,7 @@ def stages(job: Job, n_frames: int, rounds: int) -> None:
     decode_footage(warm, stop=8)  # compiles the kernels, and makes a store
     source, decoder = job.open(), job.decoder()
     store = warm.pinned(source).open_store(source)
-    decoder.use_light(None)
-    decoder.use_rims(RimVotes())
+    decoder.state = RigState(asks=frozenset({"code"}))
     read = list(source.frames(0, min(n_frames, 32)))
     image = runtime.empty((*reversed(source.size_px), 3), source.format.rgb_dtype)
     results = [decoder.decode(job.develop(read[0], image)) for _ in range(4)]
@@ -59,11 +59,11 @@ def stages(job: Job, n_frames: int, rounds: int) -> None:
         for k in range(n_frames):
             previous = results[(k - 1) % 4]
             results[k % 4] = decoder.decode(job.develop(read[k % len(read)], image), previous, results[k % 4])
-            results[k % 4].fetch(job.fields)
+            read_back(results[k % 4], job.fields)
 
     def write_some(first: int) -> None:
         frame = written[first]
-        frame.fetch(job.fields)
+        read_back(frame, job.fields)
         fetched = dict(vars(frame))
         for k in range(first, n_frames, _WRITERS):
             store.commit([store.write(k, frame)])

@@ -35,6 +35,7 @@ from pipeline.output.mesh import Mesh
 from pipeline.output.mesh_files import read_mesh, write_mesh
 from pipeline.output.store_files import MARK_BYTES
 from pipeline.output.stored_result import StoredResult
+from pipeline.output.surface_mesh import frame_mesh
 from pipeline.recording.video_export import export_video
 from pipeline.settings import DecodeSettings
 from pipeline.simulation import simulated_rig
@@ -103,7 +104,7 @@ def _read_store(path: Path) -> Reading:
     for name in ("mask", "range_image", "phase_sigma"):
         for number in stored.done:
             try:
-                parts[f"{name} {number}"] = _digest(stored.read(name, number))
+                parts[f"{name} {number}"] = _digest(getattr(stored.frame(number), name))
             except OWN_ERRORS as error:
                 told = True
                 _check_line(str(error))
@@ -113,11 +114,11 @@ def _read_store(path: Path) -> Reading:
 def _read_all_of_a_store(path: Path) -> Reading:
     """Read whatever can be asked of a store; nothing tells its checksums' damage, which is none."""
     stored = StoredResult(path)
-    known = [stored.size_px, len(stored.wanted), stored.front_is_clear, stored.camera, bool(stored._repr_html_())]
+    known = [stored.size_px, len(stored.wanted), stored.front_known, stored.camera, bool(stored._repr_html_())]
     for number in stored.done:
         with suppress(*OWN_ERRORS):
-            known += [stored.warnings(number), stored.time_s(number), stored.provenance(number)]
-            known += [stored.fault(number), len(stored.mesh(number).vertices)]
+            known += [stored.frame(number).warnings, stored.frame(number).time_s, stored.frame(number).digest]
+            known += [stored.fault(number), len(frame_mesh(stored.frame(number)).vertices)]
     return Reading({"all": _digest(*known)})
 
 

@@ -10,6 +10,7 @@ from pipeline.output.mesh import Mesh
 from pipeline.output.mesh_files import read_mesh
 from pipeline.output.pictures.color_meaning import Colors
 from pipeline.output.stored_result import StoredResult, mesh_fields
+from pipeline.output.surface_mesh import frame_mesh
 
 # Frames, evenly spaced, that set the eye's place and the colours' limits for a whole film.
 _ASKED = 16
@@ -105,7 +106,7 @@ class StoreSource:
         if number not in self._done:
             return None
         try:
-            mesh = self.result.mesh(number, self._fields)
+            mesh = frame_mesh(self.result.frame(number), fields=self._fields)
         except FootageError as error:
             self.broken[number] = str(error)
             return None
@@ -116,14 +117,14 @@ class StoreSource:
         if number not in self._done:
             return "missing"
         try:
-            return self.result.frame_digest(number)
+            return self.result.frame(number).digest
         except FootageError:
             return "damaged"
 
     def _points(self, number: int) -> Mesh | None:
         in_mm = self.result.in_mm
         try:
-            values = {name: self.result.read(name, number) for name in self._fields}
+            values = {name: getattr(self.result.frame(number), name) for name in self._fields}
         except FootageError:
             return None
         place = values["points"] if in_mm else _pixel_points(values["range_image"])

@@ -145,7 +145,7 @@ class Footage:
 def stored(store: Path):
     """Return what is stored of frames: their values and marks."""
     result = StoredResult(store)
-    assert all(np.isfinite(result.read("unwrapped_phase", number)).any() for number in result.done)
+    assert all(np.isfinite(result.frame(number).unwrapped_phase).any() for number in result.done)
     return {name: digest for name, digest in contents(store).items() if re.search(r"^(unwrapped_phase|done)/c\.", name)}
 
 

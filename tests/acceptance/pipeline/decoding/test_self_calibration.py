@@ -49,7 +49,7 @@ def test_a_frame_tells_the_light(scene, gamma, matrix):
     *_, best, _ = decoded(truth, rig)
     assert balance_alone > 4 * best
     assert balance_alone - own > 0.8 * (balance_alone - best)
-    assert decoder.light.reliable
+    assert decoder.state.light.reliable
     # A linear response leaves a turn about grey unknown, and says so.
     assert frame.constant_known == (gamma > 1.1)
     assert not frame.constant_known or abs(constant) < 0.02

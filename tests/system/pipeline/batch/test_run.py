@@ -20,7 +20,7 @@ from pipeline import Decoder, DecodeSettings
 from pipeline.batch import job as jobs
 from pipeline.batch.job import Crop, Job
 from pipeline.batch.run import Stopped, decode_footage
-from pipeline.decoding.frame import FIELDS
+from pipeline.decoding.frame import FIELDS, read_back
 from pipeline.decoding.front_side import RimVotes
 from pipeline.errors import CalibrationError, FootageError, OutputError, SettingsError
 from pipeline.footage.footage import StoredAs
@@ -97,7 +97,7 @@ def test_a_run_stores_what_the_decoder_gives(job, folder):
     group = zarr.open_group(job.store, mode="r")
     frames = zarr.open_group(folder / "film.zarr", mode="r")["frames"]
     decoder, previous = Decoder(arch="cpu"), None
-    light = decoder.decode(frames[0]) and decoder.light
+    light = decoder.decode(frames[0]) and decoder.state.light
     assert light is not None and light.reliable
     for number in range(N_FRAMES):
         previous = decoder.decode(frames[number], previous if number % CHAIN else None)
@@ -591,7 +591,7 @@ def test_fetched_fields_need_no_device(arch, stripes, monkeypatch):
     # Where a frame takes two seconds, a field of each kind: as it is, of host and device, and made by a kernel.
     for name in FIELDS if arch == "cpu" else ("mask", "points", "phase_sigma", "texture"):
         frame = decoder.decode(image, out=fetched)
-        frame.fetch([name])
+        read_back(frame, [name])
         with monkeypatch.context() as patch:
             patch.setattr("pipeline.decoding.frame.runtime", SimpleNamespace())
             patch.setattr("pipeline.decoding.frame.transpose", None)
@@ -607,8 +607,8 @@ def test_which_side_is_in_front_is_learnt_once_for_all_frames(job, folder, tmp_p
     frames = zarr.open_group(folder / "film.zarr", mode="r")["frames"]
     decoder = Decoder(arch="cpu")
     expected = decoder.decode(frames[0])
-    assert RimVotes(**stored.attributes["rims"]) == decoder.rims
-    assert stored.front_is_clear == expected.front_is_clear
+    assert RimVotes(**stored.attributes["rims"]) == decoder.state.rims
+    assert stored.front_known == expected.front_known
     # Walls tell nothing, one frame with something before the wall does; it stands for all.
     scenes = [SimulationSettings(scene=scene, seed=k) for k, scene in enumerate(("plane", "plane", "objects"))]
     *walls, objects = (simulate_frame(simulated_rig((320, 240)), scene).image for scene in scenes)
@@ -621,15 +621,15 @@ def test_which_side_is_in_front_is_learnt_once_for_all_frames(job, folder, tmp_p
         told = replace(job, footage=str(pictures), store=str(tmp_path / f"{name}.zarr"), fields=("mask", "range_image"))
         decode_footage(told)
         stored = StoredResult(told.store)
-        assert stored.front_is_clear == (name == "last")
-        signs.append(stored.read("range_image", 0))
+        assert stored.front_known == (name == "last")
+        signs.append(stored.frame(0).range_image)
     np.testing.assert_array_equal(signs[0], -signs[1])
 
 
 def test_the_light_survives_being_stored(folder, rig):
     decoder = Decoder(arch="cpu")
     decoder.decode(zarr.open_group(folder / "film.zarr", mode="r")["frames"][0])
-    light = decoder.light
+    light = decoder.state.light
     again = type(light).model_validate_json(light.model_dump_json())
     for name, value in light:
         np.testing.assert_array_equal(getattr(again, name), value)
@@ -686,7 +686,7 @@ def test_a_code_that_footage_shows_is_learnt_once_for_all_frames(tmp_path, job):
     assert [sum("shows a contrast code" in note for note in said) for said in notes] == [1, 0]
     shown, expected = StoredResult(job.store), StoredResult(stated.store)
     assert shown.attributes["code"] == expected.attributes["code"] == "contrast"
-    assert shown.read("absolute", 2).any()
+    assert shown.frame(2).absolute.any()
     for number in (1, 2):
         for name in ("unwrapped_phase", "absolute", "phase_sigma"):
-            np.testing.assert_array_equal(shown.read(name, number), expected.read(name, number))
+            np.testing.assert_array_equal(getattr(shown.frame(number), name), getattr(expected.frame(number), name))

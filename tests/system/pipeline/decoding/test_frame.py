@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline import Decoder, DecodeSettings
-from pipeline.decoding.frame import FIELDS, RegionOrders
+from pipeline.decoding.frame import FIELDS, RegionOrders, memory_of, read_back
 from pipeline.errors import CalibrationError, SettingsError
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
 from tikernels import ShapeError, runtime
@@ -70,7 +70,7 @@ def test_another_thread_may_look_while_the_next_frame_is_decoded(arch):
 
 def test_what_travels_to_the_next_frame(cpu):
     decoder, images, (frame, _) = frames("cpu", 2)
-    memory = frame.memory
+    memory = memory_of(frame)
     assert memory.checked((96, 128), "horizontal", 2.0).elapsed == 2.0
     with pytest.raises(ShapeError, match="frame is 64x48 but the one before is 128x96"):
         memory.checked((48, 64), "horizontal", 1.0)
@@ -90,7 +90,7 @@ def test_a_frame_without_regions_knows_no_orders():
 
 def test_fetched_is_what_is_needed(cpu):
     _, _, (frame,) = frames("cpu", 1)
-    frame.fetch(["fringe_order"])
+    read_back(frame, ["fringe_order"])
     assert {"mask", "unwrapped_phase"} <= set(vars(frame))
     assert "points" not in vars(frame)
 

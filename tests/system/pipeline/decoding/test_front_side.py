@@ -75,11 +75,11 @@ def test_larger_is_farther_on_either_side_of_the_projector(cpu, scene, stripes, 
     truth = simulated(stripes, opposite=opposite, scene=scene)
     settings = {"stripes": stripes, "crosstalk_matrix": TYPICAL_CROSSTALK}
     frame = Decoder(DecodeSettings.of(**settings), arch="cpu").decode(truth.image)
-    assert frame.front_is_clear and nearness(frame, truth) > 0
+    assert frame.front_known and nearness(frame, truth) > 0
     sides = ("above", "below") if stripes == "horizontal" else ("left", "right")
     for side, right in zip(sides, (not opposite, opposite), strict=True):
         stated = Decoder(DecodeSettings.of(**settings, projector_side=side), arch="cpu").decode(truth.image)
-        assert stated.front_is_clear and (nearness(stated, truth) > 0) == right
+        assert stated.front_known and (nearness(stated, truth) > 0) == right
 
 
 def test_the_side_stays_as_the_first_clear_frame_shows_it(cpu):
@@ -87,11 +87,11 @@ def test_the_side_stays_as_the_first_clear_frame_shows_it(cpu):
     wall, bust = simulated(scene="plane"), simulated(scene="bust")
     decoder = Decoder(arch="cpu")
     before = decoder.decode(wall.image)
-    assert not before.front_is_clear and decoder.asks_rims
+    assert not before.front_known and "rims" in decoder.state.asks
     decoder.decode(bust.image)
-    assert not decoder.asks_rims
+    assert "rims" not in decoder.state.asks
     after = decoder.decode(wall.image)
-    assert after.front_is_clear
+    assert after.front_known
     both = before.mask & after.mask
     np.testing.assert_allclose(after.range_image[both], -before.range_image[both], atol=0.1)
 
@@ -108,8 +108,8 @@ def test_it_is_asked_less_often_while_it_stays_unclear(cpu, monkeypatch):
 def test_a_calibrated_frame_asks_no_rims(cpu):
     truth = simulated(scene="bust")
     decoder = Decoder(calibration=truth.rig, arch="cpu")
-    assert decoder.decode(truth.image).front_is_clear
-    assert not decoder.asks_rims and decoder.rims == RimVotes()
+    assert decoder.decode(truth.image).front_known
+    assert "rims" not in decoder.state.asks and decoder.state.rims == RimVotes()
 
 
 def test_a_side_along_the_stripes_tells_no_depth():

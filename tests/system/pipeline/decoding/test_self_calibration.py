@@ -38,9 +38,9 @@ def test_later_frames_use_what_the_first_told():
     first, second = (simulate_frame(rig, SimulationSettings(scene=scene)) for scene in ("bust", "ball"))
     decoder = Decoder(DecodeSettings(), arch="cpu")
     decoder.decode(first.image)
-    told = decoder.light
+    told = decoder.state.light
     frame = decoder.decode(second.image)
-    assert decoder.light is told and told.reliable
+    assert decoder.state.light is told and told.reliable
     inside = cv2.erode((frame.mask & second.mask).astype(np.uint8), np.ones((9, 9))) > 0
     assert phase_error(frame.wrapped_phase, second.phase, inside)[0] < 0.04
 
@@ -69,7 +69,7 @@ def test_too_small_an_object_says_nothing():
     decoder = Decoder(DecodeSettings(camera_period_px=12), arch="cpu")
     frame = decoder.decode(small)
     assert not frame.constant_known
-    assert decoder.light is None or not decoder.light.reliable
+    assert decoder.state.light is None or not decoder.state.light.reliable
 
 
 @pytest.mark.parametrize(("name", "bound"), [("gp075", 0.06), ("gp125", 0.078)])
@@ -83,6 +83,6 @@ def test_a_real_plane(name, bound):
     mask = cv2.resize(truth["mask"].astype(np.float32), shrunk.shape[1::-1], interpolation=cv2.INTER_AREA) > 0.999
     decoder = Decoder(DecodeSettings(stripes="vertical"), arch="cpu")
     frame = decoder.decode(np.ascontiguousarray(shrunk))
-    assert decoder.light.reliable
+    assert decoder.state.light.reliable
     error, _ = phase_error(frame.wrapped_phase, phase, mask & frame.mask)
     assert error < bound

@@ -18,6 +18,7 @@ from support.colored_boards import (
 from pipeline import Decoder, DecodeSettings
 from pipeline.calibration import Calibration
 from pipeline.decoding import surface_search
+from pipeline.decoding.frame import memory_of
 from pipeline.errors import DecodeWarning
 from tikernels.phase.surfaces import NO_SURFACE
 
@@ -30,7 +31,9 @@ def test_shadow_shows_no_surface(cpu):
     image[100:160, 100:220] = ambient + np.random.default_rng(1).standard_normal((60, 120, 3))
     frame = board_decoder().decode(image)
     assert frame.mask[106:154, 106:214].mean() < 0.02
-    assert (np.asarray(frame.memory.surfaces.crosstalk.surfaces.labels)[106:154, 106:214] == NO_SURFACE).mean() > 0.98
+    assert (
+        np.asarray(memory_of(frame).surfaces.crosstalk.surfaces.labels)[106:154, 106:214] == NO_SURFACE
+    ).mean() > 0.98
 
 
 @pytest.mark.parametrize("cycles", [2.2, 3.0, 5.0])
@@ -51,14 +54,14 @@ def test_a_video_keeps_its_surfaces(cpu):
     rig = board_decoder()
     before = rig.decode(first)
     again = rig.decode(first, previous=before)
-    kept = again.memory.surfaces.fitted.matrices
-    np.testing.assert_allclose(kept, before.memory.surfaces.fitted.matrices, atol=2e-3)
-    assert (again.memory.surfaces.fitted.frames == 2).all()
+    kept = memory_of(again).surfaces.fitted.matrices
+    np.testing.assert_allclose(kept, memory_of(before).surfaces.fitted.matrices, atol=2e-3)
+    assert (memory_of(again).surfaces.fitted.frames == 2).all()
     constants, _ = paint_errors(again, phase, numbers)
     assert np.ptp(constants) < 0.02
     then, phase, numbers = board([*PAINTED[:2], "skin", "blue"], (240, 320))
     after = rig.decode(then, previous=again)
-    assert len(after.memory.surfaces.fitted.matrices) > len(kept)
+    assert len(memory_of(after).surfaces.fitted.matrices) > len(kept)
     constants, _ = paint_errors(after, phase, numbers)
     assert np.ptp(constants) < 0.03
 
@@ -74,7 +77,7 @@ def test_a_paint_of_nearly_the_same_colour_is_found_by_what_is_left_over(cpu):
     noise = np.random.default_rng(2).standard_normal(image.shape)
     image[patch] = (240 * light(phase) @ other.T + 6 * other.sum(axis=1) + 4 + noise)[patch]
     frame = board_decoder().decode(image)
-    labels = np.asarray(frame.memory.surfaces.crosstalk.surfaces.labels)
+    labels = np.asarray(memory_of(frame).surfaces.crosstalk.surfaces.labels)
     inside, outside = labels[70:170, 110:210], labels[:50]
     assert np.bincount(inside.ravel()).argmax() != np.bincount(outside.ravel()).argmax()
     constants, _ = paint_errors(frame, phase, patch.astype(int))
@@ -87,7 +90,7 @@ def test_a_wrong_calibration_is_left_to_the_balance(cpu):
     wrong = Calibration(crosstalk_matrix=np.eye(3), response=RESPONSE)
     with pytest.warns(DecodeWarning, match="fringes differ by .* calibrate check"):
         frame = Decoder(DecodeSettings(white_level=255), wrong, arch="cpu").decode(image)
-    assert frame.memory.surfaces is None
+    assert memory_of(frame).surfaces is None
     constants, _ = paint_errors(frame, phase, numbers)
     assert np.abs(constants).max() < 3 * frame.constant_sigma
 
@@ -99,7 +102,7 @@ def test_light_that_no_matrix_explains_is_said(cpu):
     frame_image = np.clip(0.6 * image + 120 * other, 0, 255).astype(np.float32)
     with pytest.warns(DecodeWarning, match="no matrix explains"):
         frame = board_decoder().decode(frame_image)
-    assert frame.memory.surfaces is None
+    assert memory_of(frame).surfaces is None
     assert frame.constant_sigma > 0.03
 
 
@@ -113,7 +116,7 @@ def test_a_fluorescent_paint_is_said(cpu):
     constants, rms = paint_errors(frame, phase, numbers)
     assert np.abs(constants).max() < 2 * frame.constant_sigma
     assert rms[1] < 1.5 * np.nanmedian(frame.phase_sigma[numbers == 1])
-    assert frame.memory.surfaces is not None
+    assert memory_of(frame).surfaces is not None
 
 
 @pytest.mark.parametrize("response", [True, False])
@@ -142,7 +145,7 @@ def test_neutral_paint_costs_nothing(cpu):
     image, _, _ = board(["white"])
     found, broad = (board_decoder(reflectance_bands=bands).decode(image) for bands in (None, "broad"))
     np.testing.assert_array_equal(found.wrapped_phase, broad.wrapped_phase)
-    assert found.memory.surfaces is None
+    assert memory_of(found).surfaces is None
 
 
 def test_a_colour_that_acts_after_the_crosstalk_stays_so(cpu):
@@ -160,13 +163,13 @@ def test_in_a_video_an_only_colour_is_asked_once(cpu, monkeypatch):
     first = decoder.decode(image)
     second = decoder.decode(image, previous=first)
     assert len(asked) == 1
-    np.testing.assert_array_equal(second.memory.surfaces.ratios, first.memory.surfaces.ratios)
+    np.testing.assert_array_equal(memory_of(second).surfaces.ratios, memory_of(first).surfaces.ratios)
     other, _, _ = board(["orange"], broad=1.0)
     third = decoder.decode(other, previous=second)
     assert len(asked) == 2
     broad = board_decoder(reflectance_bands="broad")
     np.testing.assert_array_equal(second.wrapped_phase, broad.decode(image, previous=broad.decode(image)).wrapped_phase)
-    assert np.abs(third.memory.surfaces.ratios - second.memory.surfaces.ratios).max() > 0.1
+    assert np.abs(memory_of(third).surfaces.ratios - memory_of(second).surfaces.ratios).max() > 0.1
 
 
 def test_one_colour_alone_is_told_by_what_is_left_over(cpu):

@@ -242,7 +242,7 @@ def test_a_cut_starts_afresh(scenes):
     decoder = Decoder(DecodeSettings(), rig, arch="cpu")
     before, after = scenes.split()
     previous = decoder.decode(simulate_frame(rig, SimulationSettings(scene=before)).image)
-    regions = len(previous.order_is_known)
+    regions = len(previous.orders_known)
     sure = RegionOrders(np.ones(regions, bool), np.zeros(regions, np.float32), np.zeros((regions, 3), np.float32))
     previous = replace(previous, _measured=replace(previous._measured, orders=sure))
     image = simulate_frame(rig, SimulationSettings(scene=after, gamma=1.0)).image

@@ -13,6 +13,7 @@ from support.piled_objects import plates_before_a_wall
 
 from pipeline import Decoder, DecodeSettings, DecodeWarning
 from pipeline.contrast_code import ContrastCode
+from pipeline.decoding.rig_state import RigState
 from pipeline.errors import SettingsError
 from pipeline.orders.stripe_columns import StripeColumns
 from pipeline.output.report import frame_report
@@ -175,7 +176,7 @@ def test_a_code_that_the_frame_shows(calibrated):
     decoder = Decoder(DecodeSettings(), calibration, arch="cpu")
     with pytest.warns(DecodeWarning, match=SHOWN):
         frame = decoder.decode(truth.image)
-    assert decoder.code == "contrast" and shares(frame, truth)[0] > 0.97
+    assert decoder.state.code == "contrast" and shares(frame, truth)[0] > 0.97
     assert same(frame, Decoder(DecodeSettings(code="contrast"), calibration, arch="cpu").decode(truth.image))
     assert decoder.decode(truth.image).warnings == ()  # it is said once
 
@@ -206,7 +207,7 @@ def test_frames_that_show_no_first_code(code):
         calibration = said(calibration, None)
         decoder = Decoder(DecodeSettings(), calibration, arch="cpu")
         frame = decoder.decode(truth.image)
-        assert decoder.code is None and not frame.absolute.any(), scene
+        assert decoder.state.code is None and not frame.absolute.any(), scene
         assert same(frame, Decoder(DecodeSettings(code="none"), calibration, arch="cpu").decode(truth.image)), scene
 
 
@@ -214,14 +215,14 @@ def test_what_another_decoder_has_seen_of_a_code():
     """A code that is stated stays."""
     truth, rig = simulated("bust")
     worker = Decoder(DecodeSettings(), said(rig, None), arch="cpu")
-    worker.use_code("contrast")
+    worker.state = RigState(code="contrast", asks=frozenset({"light", "rims"}))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         frame = worker.decode(truth.image)
     assert same(frame, Decoder(DecodeSettings(), rig, arch="cpu").decode(truth.image))
     stated = Decoder(DecodeSettings(), rig, arch="cpu")
-    stated.use_code(None)
-    assert stated.code == "contrast"
+    stated.state = RigState(asks=frozenset({"light", "rims"}))
+    assert stated.state.code == "contrast"
 
 
 @pytest.mark.parametrize("gamma", [1.0, 1.7, 2.0])
@@ -385,7 +386,7 @@ def test_a_pattern_that_lies_elsewhere_than_the_calibration_says(scene, stripes,
             assert cause.key == "rig moved" and not frame.absolute.any()
             said_px = float(re.search(r"lies ([0-9.]+) projector px along", cause)[1])
             assert said_px == pytest.approx(abs(along_px), abs=0.5)
-        found_px = frame_report(frame, settings, calibration, "a.png")["stripe_shift_px"]
+        found_px = frame_report(frame, "a.png")["stripe_shift_px"]
         assert found_px == pytest.approx(-along_px, abs=0.5)
 
 
@@ -408,7 +409,7 @@ def test_the_second_code_needs_a_geometry_that_states_it():
         assert "\n" not in str(error.value)
     with pytest.raises(SettingsError, match="read by a geometry"):
         Decoder(DecodeSettings(), light, arch="cpu")
-    assert Decoder(DecodeSettings(code="none"), light, arch="cpu").code is None
+    assert Decoder(DecodeSettings(code="none"), light, arch="cpu").state.code is None
 
 
 def test_rays_that_meet_the_pattern_nowhere():

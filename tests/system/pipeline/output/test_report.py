@@ -63,15 +63,23 @@ def test_no_order_is_given_back(truth):
     assert measured["depth_rms_mm"] > 50 and measured["depth_p999_mm"] > measured["depth_rms_mm"]
 
 
+class Shown:
+    """A frame that lacks some fields, or has others."""
+
+    def __init__(self, frame, lacks=(), **others):
+        self._frame, self._others = frame, others
+        self.fields = {name: entry for name, entry in frame.fields.items() if name not in lacks}
+
+    def __getattr__(self, name):
+        return self._others.get(name, getattr(self._frame, name))
+
+
 def test_depth_that_is_only_relative_is_said(truth):
     """Without a calibration, without the code, and with a depth range."""
     rig = truth.rig
 
     def words(frame, lacks=()) -> str | None:
-        def read(name):
-            return None if name in lacks else getattr(frame, name)
-
-        return depth_in_words(read, in_mm=frame.calibrated, front_is_clear=frame.front_is_clear)
+        return depth_in_words(Shown(frame, lacks), front_known=frame.front_known)
 
     plain = Decoder(DecodeSettings(projector_side="above"), arch="cpu").decode(truth.image)
     relative = "depth is relative, in rad of phase and not in mm: give a --calibration with the rig's geometry"
@@ -86,12 +94,9 @@ def test_depth_that_is_only_relative_is_said(truth):
     assert "each surface there may be off by whole cycles; a" in words(calibrated, ("region", "point_sigma"))
     assert words(calibrated, ("absolute",)) is None
 
-    def nearly_all_known(name):
-        known = np.ones_like(calibrated.mask)
-        known[np.unravel_index(np.argmax(calibrated.mask), known.shape)] = False
-        return known if name == "absolute" else getattr(calibrated, name)
-
-    few = depth_in_words(nearly_all_known, in_mm=True, front_is_clear=True)
+    known = np.ones_like(calibrated.mask)
+    known[np.unravel_index(np.argmax(calibrated.mask), known.shape)] = False
+    few = depth_in_words(Shown(calibrated, absolute=known), front_known=True)
     assert "relative on less than 1% of the pixels: the surface there" in few
     waves = simulate_frame(rig, SimulationSettings(scene="waves", noise_levels=0.0))
     ranged = rig.model_copy(update={"depth_range_mm": (880.0, 920.0)})
@@ -111,7 +116,7 @@ def test_what_is_missing_of_the_lit_pixels_is_coverage(truth):
 def test_a_report_is_json_whatever_was_decoded(truth):
     rig = truth.rig.model_copy(update={"crosstalk_matrix": np.array(TYPICAL_CROSSTALK)})
     frame = Decoder(calibration=rig, arch="cpu").decode(truth.image)
-    report = frame_report(frame, DecodeSettings(), rig, "a.png")
+    report = frame_report(frame, "a.png")
     assert report["image_px"] == [128, 96] and report["arch"] == "cpu" and report["range_unit"] == "mm"
     assert report["stripe_shift_px"] is None
     low, middle, high = report["range_percentiles_1_50_99"]
@@ -119,6 +124,6 @@ def test_a_report_is_json_whatever_was_decoded(truth):
     json.dumps(report, allow_nan=False)
     with pytest.warns(UserWarning, match="no fringe"):
         dark = Decoder(arch="cpu").decode(np.zeros_like(truth.image))
-    report = frame_report(dark, DecodeSettings(), None, "a.png")
+    report = frame_report(dark, "a.png")
     assert report["valid_fraction"] == 0 and report["range_percentiles_1_50_99"] is None
     json.dumps(report, allow_nan=False)

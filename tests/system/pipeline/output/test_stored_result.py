@@ -5,13 +5,13 @@ import pytest
 import zarr
 from support.stored_planes import store
 
-from pipeline import Decoder, DecodeSettings
+from pipeline import Decoder
 from pipeline.decoding.frame import FIELDS
 from pipeline.errors import DecodeWarning, FootageError
 from pipeline.output.mesh_files import read_mesh, write_mesh
 from pipeline.output.store import write_store
 from pipeline.output.stored_result import StoredResult
-from pipeline.output.surface_mesh import counted_mesh, frame_mesh
+from pipeline.output.surface_mesh import counted_mesh, frame_grid, frame_mesh
 from pipeline.simulation import TYPICAL_CROSSTALK, simulate_frame, simulated_rig
 
 pytestmark = pytest.mark.usefixtures("cpu")
@@ -44,7 +44,7 @@ def test_a_damaged_chunk_is_named(tmp_path):
     stored = StoredResult(path)
     with pytest.raises(FootageError, match=r"frame \d: points is damaged"):
         for number in stored.done:
-            stored.mesh(number)
+            frame_mesh(stored.frame(number))
 
 
 def test_a_damaged_mark_is_named(tmp_path):
@@ -52,20 +52,20 @@ def test_a_damaged_mark_is_named(tmp_path):
     mark = path / "done" / "c.0.0"
     mark.write_bytes(bytes(len(mark.read_bytes())))
     with pytest.raises(FootageError, match="frame 0: its mark is damaged"):
-        StoredResult(path).frame_digest(0)
+        _ = StoredResult(path).frame(0).digest
 
 
 def test_frames_are_told_apart(tmp_path):
     first = StoredResult(store(tmp_path / "r.zarr", [400.0, 401.0, 401.0]))
     again = StoredResult(store(tmp_path / "again.zarr", [400.0, 401.0]))
-    assert [first.frame_digest(number) for number in (0, 1)] == [again.frame_digest(number) for number in (0, 1)]
-    assert first.frame_digest(0) != first.frame_digest(1) == first.frame_digest(2)
+    assert [first.frame(number).digest for number in (0, 1)] == [again.frame(number).digest for number in (0, 1)]
+    assert first.frame(0).digest != first.frame(1).digest == first.frame(2).digest
 
 
 def test_ranges_in_mm_make_no_mesh_without_points(tmp_path):
     """Depths in mm over columns and rows in px would be no shape at all."""
     stored = StoredResult(store(tmp_path / "r.zarr", [400.0], leave_out=("points",)))
-    for ask in (stored.mesh, lambda number: stored.require("points")):
+    for ask in (lambda number: frame_mesh(stored.frame(number)), lambda number: stored.require("points")):
         with pytest.raises(FootageError, match="holds no points: decode with that field"):
             ask(0)
 
@@ -75,15 +75,15 @@ def test_a_texture_colours_the_mesh(tmp_path):
     rig = simulated_rig((128, 96), period_px=2 * 768 / 44)
     known = rig.model_copy(update={"crosstalk_matrix": np.array(TYPICAL_CROSSTALK)})
     frame = Decoder(calibration=known, arch="cpu").decode(simulate_frame(rig).image)
-    write_store(tmp_path / "r.zarr", frame, DecodeSettings(), known)
+    write_store(tmp_path / "r.zarr", frame)
     stored = StoredResult(tmp_path / "r.zarr")
-    np.testing.assert_array_equal(stored.read("texture", 0), frame.texture)
-    mesh = stored.mesh(0)
+    np.testing.assert_array_equal(stored.frame(0).texture, frame.texture)
+    mesh = frame_mesh(stored.frame(0))
     assert mesh.colors.dtype == np.uint8 and mesh.colors.shape == mesh.vertices.shape
     np.testing.assert_array_equal(mesh.colors, frame_mesh(frame).colors)
     write_mesh(mesh, tmp_path / "mesh.ply")
     np.testing.assert_array_equal(read_mesh(tmp_path / "mesh.ply").colors, mesh.colors)
-    assert stored.mesh(0, ("points",)).colors is None
+    assert frame_mesh(stored.frame(0), fields=("points",)).colors is None
     # A vertex has the colour of its own pixel.
     matrix = known.camera.matrix
     place = mesh.vertices[:, :2] / mesh.vertices[:, 2:] * np.diag(matrix)[:2] + matrix[:2, 2]
@@ -95,9 +95,9 @@ def test_a_texture_colours_the_mesh(tmp_path):
 def test_a_grid_holds_what_is_stored_and_the_camera(tmp_path):
     rig = simulated_rig((128, 96), period_px=2 * 768 / 44)
     frame = Decoder(calibration=rig, arch="cpu").decode(simulate_frame(rig).image)
-    write_store(tmp_path / "r.zarr", frame, DecodeSettings(), rig)
+    write_store(tmp_path / "r.zarr", frame)
     stored = StoredResult(tmp_path / "r.zarr")
-    grid = stored.grid(0)
+    grid = frame_grid(stored.frame(0))
     np.testing.assert_array_equal(grid.points, np.where(frame.mask[..., None], frame.points, np.nan))
     np.testing.assert_array_equal(grid.texture, frame.texture)
     assert grid.properties.keys() == {"modulation", "order_error_probability", "sigma_rad", "sigma_mm"}
@@ -114,8 +114,8 @@ def test_surfaces_that_the_decoder_told_apart_stay_apart(tmp_path):
     """A store that holds regions cuts its meshes as a frame does."""
     rig = simulated_rig((128, 96), period_px=2 * 768 / 44)
     frame = Decoder(calibration=rig, arch="cpu").decode(simulate_frame(rig).image)
-    write_store(tmp_path / "r.zarr", frame, DecodeSettings(), rig)
-    (mesh, counts), (expected, wanted) = StoredResult(tmp_path / "r.zarr").counted_mesh(0), counted_mesh(frame)
+    write_store(tmp_path / "r.zarr", frame)
+    (mesh, counts), (expected, wanted) = counted_mesh(StoredResult(tmp_path / "r.zarr").frame(0)), counted_mesh(frame)
     np.testing.assert_array_equal(mesh.faces, expected.faces)
     assert counts == wanted
 
@@ -123,8 +123,8 @@ def test_surfaces_that_the_decoder_told_apart_stay_apart(tmp_path):
 def test_without_mm_there_is_no_grid(tmp_path):
     stored = StoredResult(store(tmp_path / "r.zarr", [400.0], in_mm=False))
     assert stored.camera is None
-    with pytest.raises(FootageError, match="is in rad, not in mm: decode with a --calibration that holds the geometry"):
-        stored.grid(0)
+    with pytest.raises(FootageError, match="is in rad, not in mm: decode with a calibration that holds the geometry"):
+        frame_grid(stored.frame(0))
 
 
 def test_a_newer_version_is_read_as_far_as_it_is_known(tmp_path, monkeypatch):
@@ -135,4 +135,4 @@ def test_a_newer_version_is_read_as_far_as_it_is_known(tmp_path, monkeypatch):
     with pytest.warns(DecodeWarning, match=r"this version leaves out fields that it does not know \(gloss\): update"):
         stored = StoredResult(path)
     assert "gloss" not in stored.fields and stored.fault(0) is None
-    assert len(stored.mesh(0).faces) > 1000
+    assert len(frame_mesh(stored.frame(0)).faces) > 1000

@@ -40,7 +40,9 @@ def everything(path):
     """Return all that a store holds."""
     result = StoredResult(path)
     return result.attributes, {
-        (name, number): result.read(name, number).tobytes() for name in sorted(result.fields) for number in result.done
+        (name, number): getattr(result.frame(number), name).tobytes()
+        for name in sorted(result.fields)
+        for number in result.done
     }
 
 

@@ -179,7 +179,7 @@ def test_times_that_have_a_date(tmp_path):
         assert result.points.coords["time"].dims == ("frame",)
         after = result.sel(frame=result.time > np.datetime64("2026-11-25T10:00:01"))
         np.testing.assert_array_equal(after.frame, [2])
-    assert StoredResult(tmp_path / "result.zarr").time_s(1) == pytest.approx(1795600800.27)
+    assert StoredResult(tmp_path / "result.zarr").frame(1).time_s == pytest.approx(1795600800.27)
 
 
 def test_times_since_the_first_frame(tmp_path):
@@ -188,7 +188,7 @@ def test_times_since_the_first_frame(tmp_path):
     with xarray.open_zarr(tmp_path / "result.zarr", consolidated=False) as result:
         np.testing.assert_array_equal(result.time, SECONDS)
         assert result.time.attrs["units"] == "s"
-    assert StoredResult(tmp_path / "result.zarr").time_s(2) == 3.25
+    assert StoredResult(tmp_path / "result.zarr").frame(2).time_s == 3.25
     times = read_metadata(StoreFiles(tmp_path / "result.zarr")).times
     assert times.since is None
     np.testing.assert_array_equal(times.seconds, SECONDS)
@@ -198,7 +198,7 @@ def test_times_that_nothing_tells(tmp_path):
     make(tmp_path / "result.zarr", seconds=None)
     with xarray.open_zarr(tmp_path / "result.zarr", consolidated=False) as result:
         assert "time" not in result.variables
-    assert StoredResult(tmp_path / "result.zarr").time_s(0) is None
+    assert StoredResult(tmp_path / "result.zarr").frame(0).time_s is None
 
 
 def test_rows_and_columns_of_a_part_are_the_cameras(tmp_path):
@@ -251,8 +251,8 @@ def test_a_store_that_has_no_coordinates_yet_stays_readable(tmp_path, monkeypatc
     about["attributes"]["metadata_sha256"] = store_files._digest(about, files)
     (path / "zarr.json").write_text(json.dumps(about, indent=2))
     result = StoredResult(path)
-    assert (result.done, result.time_s(0)) == ((0,), None)
-    assert float(result.read("points", 0)[0, 0, 2]) == 400
+    assert (result.done, result.frame(0).time_s) == ((0,), None)
+    assert float(result.frame(0).points[0, 0, 2]) == 400
     store(path, [400.0, 410.0], missing=(0,))
     assert StoredResult(path).done == (0, 1)
     assert not (path / "x").exists()
@@ -293,18 +293,20 @@ def test_a_chunk_of_another_frame(path):
     (path / "mask" / "c.0.0.0").unlink()
     shutil.copy(path / "modulation" / "c.0.0.0", path / "mask" / "c.0.0.0")
     with pytest.raises(FootageError, match="frame 0: mask is another frame's, or of another run"):
-        StoredResult(path).read("mask", 0)
+        _ = StoredResult(path).frame(0).mask
 
 
 def test_a_mark_of_another_frame(path):
-    shutil.copy(path / "done" / "c.0.0", path / "done" / "c.9.0")
-    with pytest.raises(FootageError, match="frame 9: mask is missing"):
-        StoredResult(path).read("mask", 9)
+    shutil.copy(path / "done" / "c.0.0", path / "done" / "c.2.0")
+    with pytest.raises(FootageError, match="frame 2: mask is missing"):
+        _ = StoredResult(path).frame(2).mask
 
 
 def test_a_frame_that_is_not_done(path):
-    with pytest.raises(FootageError, match="frame 7: it has no mark, and so is not whole"):
-        StoredResult(path).read("mask", 7)
+    with pytest.raises(FootageError, match="frame 1: it has no mark, and so is not whole"):
+        _ = StoredResult(path).frame(1).mask
+    with pytest.raises(FootageError, match="has frames 0 to 2, and no 7"):
+        StoredResult(path).frame(7)
 
 
 def test_faults_are_named_by_frame(path):
