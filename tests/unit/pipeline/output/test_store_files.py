@@ -297,12 +297,14 @@ def test_a_chunk_of_another_frame(path):
 
 
 def test_a_mark_of_another_frame(path):
+    (path / "mask" / "c.2.0.0").unlink()
     shutil.copy(path / "done" / "c.0.0", path / "done" / "c.2.0")
     with pytest.raises(FootageError, match="frame 2: mask is missing"):
         _ = StoredResult(path).frame(2).mask
 
 
 def test_a_frame_that_is_not_done(path):
+    (path / "done" / "c.1.0").unlink()
     with pytest.raises(FootageError, match="frame 1: it has no mark, and so is not whole"):
         _ = StoredResult(path).frame(1).mask
     with pytest.raises(FootageError, match="has frames 0 to 2, and no 7"):
