@@ -45,10 +45,10 @@ if TYPE_CHECKING:
     from hardware.rig import Burst, PairedFrame, Rig
     from hardware.settings import RigSettings
     from pipeline.acquisition import LiveDecoder, read_rig
+    from pipeline.batch import Crop, DecodeProgress, DecodeSummary, decode_footage
     from pipeline.calibration import Calibration
     from pipeline.decoder import Decoder
-    from pipeline.decoding.frame import DecodedFrame
-    from pipeline.decoding.self_calibration import LightEstimate
+    from pipeline.decoding import DecodedFrame, FrameFields, LightEstimate, RigState
     from pipeline.errors import (
         CalibrationError,
         ClusterError,
@@ -60,7 +60,7 @@ if TYPE_CHECKING:
         SettingsError,
     )
     from pipeline.footage import Footage, StoredAs, open_footage, read_image
-    from pipeline.output import Mesh, StoredResult, frame_mesh, read_mesh, write_mesh
+    from pipeline.output import Mesh, MeshOptions, ResultFrame, StoredResult, frame_mesh, read_mesh, write_mesh
     from pipeline.recording import Recorder
     from pipeline.settings import DecodeSettings
     from pipeline.simulation import SimulatedFrame, SimulationSettings, simulate_frame, simulated_rig
@@ -76,26 +76,33 @@ __all__ = [
     "CalibrationError",
     "CameraError",
     "ClusterError",
+    "Crop",
     "DamageError",
+    "DecodeProgress",
     "DecodeSettings",
+    "DecodeSummary",
     "DecodeWarning",
     "DecodedFrame",
     "Decoder",
     "DeviceNotReady",
     "Footage",
     "FootageError",
+    "FrameFields",
     "LightEstimate",
     "LiveDecoder",
     "Mesh",
+    "MeshOptions",
     "OutputError",
     "PairedFrame",
     "PixelFormat",
     "ProjectorError",
     "Recorder",
     "RenderError",
+    "ResultFrame",
     "Rig",
     "RigError",
     "RigSettings",
+    "RigState",
     "SettingsError",
     "ShapeError",
     "SimulatedFrame",
@@ -105,6 +112,7 @@ __all__ = [
     "StoredResult",
     "TriggerError",
     "UserUnwrapper",
+    "decode_footage",
     "frame_mesh",
     "init",
     "open_footage",

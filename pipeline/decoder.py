@@ -1,10 +1,12 @@
 """Turn one colour frame into phase, orders and points: `Decoder.decode` is the way of a frame, top to bottom."""
 
 import warnings
+from collections.abc import Iterator
 from contextlib import nullcontext, suppress
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 
 from pipeline.calibration import Calibration
 from pipeline.causes import Cause, Key
@@ -23,6 +25,7 @@ from pipeline.decoding.doubts import (
     reversed_doubt,
 )
 from pipeline.decoding.expected_fringe import ExpectedFringe
+from pipeline.decoding.footage_light import with_transfer_of
 from pipeline.decoding.frame import (
     CameraRays,
     DecodedFrame,
@@ -41,7 +44,8 @@ from pipeline.decoding.rig_state import Asked, RigState
 from pipeline.decoding.self_calibration import LightEstimate, estimate_light
 from pipeline.decoding.thresholds import frame_levels
 from pipeline.decoding.workspace import Workspace
-from pipeline.errors import CalibrationError, DecodeWarning
+from pipeline.errors import CalibrationError, DecodeWarning, FootageError
+from pipeline.footage.footage import BadFrame, Footage, OnBad
 from pipeline.linear_algebra import one_thread
 from pipeline.models import CodeName
 from pipeline.orders.order_finder import OrderFinder, SeenPhase
@@ -58,6 +62,7 @@ from tikernels.phase.frame_statistics import FrameLevels, FrameStatistics, measu
 from tikernels.phase.phase_change import RATE_ACROSS, measure_rates
 from tikernels.phase.phase_fit import FittedPhase, fit_phase
 from tikernels.phase.white_light import FrameLight
+from tikernels.raw.development import develop
 from tikernels.unwrapping import GivenRegions, UserUnwrapper
 from tikernels.unwrapping.rim_growing import doubt_rims, grow_rims
 from tikernels.unwrapping.rim_pixels import leave_out_strangers
@@ -109,15 +114,24 @@ class Decoder:
         arch: str = "auto",
         unwrapper: UserUnwrapper | None = None,
     ) -> None:
-        self.settings = settings or DecodeSettings()
-        self.calibration = calibration
+        plane = None if reference is None else reference.unwrapped_phase.copy()  # its frame may become `out`
+        self._begin(settings or DecodeSettings(), calibration, plane, arch, unwrapper)
+
+    def _begin(
+        self,
+        settings: DecodeSettings,
+        calibration: Calibration | None,
+        plane: npt.NDArray[np.float32] | None,
+        arch: str,
+        unwrapper: UserUnwrapper | None,
+    ) -> None:
+        self.settings, self.calibration, self._unwrapper = settings, calibration, unwrapper
         self._light = LightModel(self.settings, calibration)
         geometry = calibration.geometry() if calibration is not None and calibration.has_geometry else None
         self._told: LightEstimate | None = None
         self._rims = RimVotes()
         self._asks_rims = geometry is None and self.settings.projector_side is None
         self._unclear_frames = 0
-        plane = None if reference is None else reference.unwrapped_phase.copy()  # its frame may become `out`
         self._reader = FrameReader(self.settings, self._light, geometry, plane)
         depth_range_mm = None if calibration is None else calibration.depth_range_mm
         self._orders = OrderFinder(self._light.code, geometry, depth_range_mm)
@@ -219,6 +233,88 @@ class Decoder:
                 warnings.warn(doubt, DecodeWarning, stacklevel=2)
             result = DecodedFrame(period_px, levels.noise, measured.doubts, measured, self._setup)
             return result if out is None else refill(out, result)
+
+    def decode_all(
+        self, footage: Footage, start: int = 0, stop: int | None = None, step: int = 1, *, on_bad: OnBad = "raise"
+    ) -> Iterator[DecodedFrame]:
+        """Decode the frames of footage in their order, each with the one before.
+
+        Light is taken to be encoded as the footage says, where neither settings nor calibration do, and the
+        calibration is that of the part of the sensor which frames are. Frames have their `number` and `time_s`.
+
+        Parameters
+        ----------
+        footage : Footage
+            As `open_footage` opens it.
+        start, stop, step : int
+            Which frames, as of a slice.
+        on_bad : {"raise", "skip"}
+            Whether a damaged frame ends it, or is left out with a `DecodeWarning`.
+
+        Yields
+        ------
+        DecodedFrame
+            Fresh arrays.
+
+        Raises
+        ------
+        FootageError
+            A frame is damaged, and `on_bad` is "raise".
+        CalibrationError
+            The calibration is of other frames.
+
+        >>> import colorphase
+        >>> rig = colorphase.simulated_rig((160, 120))
+        >>> with colorphase.Recorder("film.zarr", colorphase.PixelFormat("rgb"), rate_hz=30) as film:
+        ...     for seed in range(2):
+        ...         simulation = colorphase.SimulationSettings(scene="plane", seed=seed)
+        ...         film.add(colorphase.simulate_frame(rig, simulation).image)
+        >>> decoder = colorphase.Decoder(calibration=rig, arch="cpu")
+        >>> with colorphase.open_footage("film.zarr") as footage:
+        ...     for frame in decoder.decode_all(footage):
+        ...         print(frame.number, f"{frame.time_s:.3f} s, {np.nanmedian(frame.range_image):.0f} mm")
+        0 0.000 s, 900 mm
+        1 0.033 s, 900 mm
+        """
+        decoder, times = self._suited_to(footage), footage.times
+        frame_s = decoder.settings.frame_s
+        previous: DecodedFrame | None = None
+        for stored in footage.frames(start, stop, step):
+            try:
+                if isinstance(stored, BadFrame):
+                    raise FootageError(stored.reason)
+                elapsed = 1.0
+                if previous is not None and previous.number is not None:
+                    elapsed = stored.number - previous.number
+                    if times is not None and frame_s is not None:
+                        elapsed = times.elapsed(previous.number, stored.number, frame_s)
+                image = develop(stored.planes, stored.format, stripes=decoder.settings.stripes)
+                frame = decoder.decode(image, previous, elapsed=elapsed)
+            except FootageError as error:
+                if on_bad == "raise":
+                    raise FootageError(f"frame {stored.number} of {footage.name}: {error}") from None
+                message = f"frame {stored.number} of {footage.name} is left out: {error}"
+                warnings.warn(message, DecodeWarning, stacklevel=2)
+                continue
+            frame.number = stored.number
+            if times is not None:
+                frame.time_s, frame.dated = times.of(stored.number), times.since is not None
+            previous = frame
+            yield frame
+
+    def _suited_to(self, footage: Footage) -> "Decoder":
+        """Return a decoder for the encoding of the footage's light and its part of the sensor; this one if it suits."""
+        settings, _ = with_transfer_of(footage, self.settings, self.calibration)
+        calibration = self.calibration
+        if calibration is not None:
+            calibration = calibration.as_read_out(footage.size_px, footage.sensor, footage.name)
+        known = self._light.transfer
+        same_light = settings.transfer is None or (isinstance(known, str) and settings.transfer == known)
+        if same_light and calibration is self.calibration:
+            return self
+        suited = Decoder.__new__(Decoder)
+        suited._begin(settings, calibration, self._setup.reference, self.arch, self._unwrapper)
+        return suited
 
     @property
     def state(self) -> RigState:

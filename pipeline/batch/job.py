@@ -14,6 +14,7 @@ import numpy as np
 from pipeline.calibration import Calibration
 from pipeline.decoder import Decoder
 from pipeline.decoding.doubts import CODE_SHOWN
+from pipeline.decoding.footage_light import with_transfer_of
 from pipeline.decoding.labels import result_attributes
 from pipeline.decoding.rig_state import RigState
 from pipeline.errors import DecodeWarning, FootageError, SettingsError
@@ -273,23 +274,6 @@ class Job:
             if "light" not in state.asks and "rims" not in told.asks:
                 break
         return Learnt(state, notes, size)
-
-
-def with_transfer_of(
-    source: Footage, settings: DecodeSettings, calibration: Calibration | None
-) -> tuple[DecodeSettings, str]:
-    """Return settings that say how light is encoded, as they did, by the calibration or by the footage; and by which.
-
-    Where the calibration has measured a curve of its own, they leave it to that.
-    """
-    capture = None if calibration is None else calibration.capture
-    measured = None if capture is None else capture.transfer
-    if settings.transfer is not None:
-        return settings, "the settings say so"
-    if measured is not None:
-        known = settings.model_copy(update={"transfer": measured}) if isinstance(measured, str) else settings
-        return known, "the calibration has measured it"
-    return settings.model_copy(update={"transfer": source.transfer or "linear"}), source.transfer_because
 
 
 def chains(wanted: range, missing: set[int]) -> Iterator[tuple[range, frozenset[int]]]:

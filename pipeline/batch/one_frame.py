@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.batch.job import with_transfer_of
 from pipeline.calibration import Calibration
 from pipeline.decoder import Decoder
+from pipeline.decoding.footage_light import with_transfer_of
 from pipeline.decoding.frame import DecodedFrame
 from pipeline.errors import FootageError, RenderError
 from pipeline.footage.footage import BadFrame, StoredAs

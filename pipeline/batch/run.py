@@ -1,9 +1,10 @@
 """Decode footage into a store: what is missing of it, here or on a cluster."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from pipeline.batch.executors import (
     ProcessExecutor,
@@ -13,14 +14,26 @@ from pipeline.batch.executors import (
     usable_cores,
     worthwhile_processes,
 )
-from pipeline.batch.job import Job, Learnt, chains
+from pipeline.batch.job import Crop, Job, Learnt, chains
 from pipeline.batch.worker import Chain, Outcome, Worker
+from pipeline.calibration import Calibration
 from pipeline.errors import DamageError, FootageError, OutputError, SettingsError
 from pipeline.files import explain, make_folder
-from pipeline.footage.footage import BadFrame, Footage
+from pipeline.footage.footage import BadFrame, Footage, OnBad, StoredAs
 from pipeline.locking import locked
-from pipeline.output.store import ResultStore, SizeForecast, is_there, mean_frame_bytes, most_frame_bytes
+from pipeline.output.folder import MESHES, STORE, refuse_others
+from pipeline.output.store import (
+    ResultStore,
+    SizeForecast,
+    chosen_fields,
+    is_there,
+    mean_frame_bytes,
+    most_frame_bytes,
+)
+from pipeline.settings import DecodeSettings
 from tikernels import runtime
+
+_AS_IT_SAYS = StoredAs()
 
 
 @dataclass
@@ -40,7 +53,130 @@ class Stopped(KeyboardInterrupt):
     """The user has stopped the run; the message says how to go on."""
 
 
+@dataclass(frozen=True)
+class DecodeProgress:
+    """How far a run has come, as its `progress` hears of each change."""
+
+    done: int = 0
+    """Frames, those included that an earlier run has decoded."""
+    of: int = 0
+    doing: str = ""
+    """What is being done, and how large the store will be, by the frames that are in it."""
+    remark: str | None = None
+    """What the user should know, said once."""
+
+
 def decode_footage(
+    footage: str | Path,
+    out: str | Path,
+    settings: DecodeSettings | None = None,
+    calibration: Calibration | None = None,
+    *,
+    fields: Sequence[str] | None = None,
+    start: int = 0,
+    stop: int | None = None,
+    step: int = 1,
+    crop: Crop | None = None,
+    on_bad: OnBad = "skip",
+    workers: int | None = None,
+    cluster: str | None = None,
+    arch: str = "auto",
+    stored_as: StoredAs = _AS_IT_SAYS,
+    force: bool = False,
+    progress: Callable[[DecodeProgress], None] = lambda progress: None,
+) -> DecodeSummary:
+    """Decode footage into ``out/result.zarr``, as ``colorphase decode`` does; run again, it goes on where it stopped.
+
+    A script needs the guard ``if __name__ == "__main__"``, as for every process that `multiprocessing` spawns, unless
+    `workers` is 1.
+
+    Parameters
+    ----------
+    footage : str or Path
+        A folder of pictures, a video or a recording.
+    out : str or Path
+        Folder for the result, or an fsspec URL.
+    settings : DecodeSettings, optional
+        How to decode; where they do not say how light is encoded, the calibration or the footage does.
+    calibration : Calibration, optional
+        The rig; with it, results are in mm.
+    fields : sequence of str, optional
+        What to store, ``["all"]`` for all; left out, mask, phase_sigma, absolute and points, or range_image without a
+        calibration.
+    start, stop, step : int
+        Which frames, as of a slice.
+    crop : Crop, optional
+        The part of each frame that is decoded.
+    on_bad : {"skip", "raise"}
+        Whether a damaged frame is left out, and named in what is returned, or ends the run.
+    workers : int, optional
+        In how many processes to decode here; 1: in this one. Left out, long footage is decoded in one for each core,
+        but in this one where a GPU computes.
+    cluster : str, optional
+        Address of a Dask scheduler, ``tcp://...``, whose workers see footage and store under the same names.
+    arch : {"auto", "cpu", "vulkan", "cuda", "metal"}
+        Where to compute; a named one never falls back.
+    stored_as : StoredAs
+        What is known of its pixels that the footage does not say.
+    force : bool
+        Whether the folder may hold other things.
+    progress : callable
+        Hears a `DecodeProgress` at each change.
+
+    Returns
+    -------
+    DecodeSummary
+        Which frames are bad, and which come with a warning. `StoredResult` opens the result.
+
+    Raises
+    ------
+    FootageError, OutputError, SettingsError, CalibrationError, ClusterError, DeviceNotReady
+        See `colorphase decode`; what is done stays.
+    """
+    in_mm = calibration is not None and calibration.has_geometry
+    job = Job(
+        footage=str(footage),
+        says=stored_as,
+        settings=settings or DecodeSettings(),
+        calibration=calibration,
+        crop=crop,
+        step=step,
+        first=start % step,
+        fields=chosen_fields(wanted_fields(fields, in_mm=in_mm), in_mm=in_mm),
+        store=f"{str(out).rstrip('/')}/{STORE}",
+        arch=arch,
+    )
+    if "://" not in str(out) and Path(out).is_dir() and not force:
+        refuse_others(Path(out), (STORE, MESHES))
+    come = DecodeProgress()
+
+    def report(**change: Any) -> None:
+        nonlocal come
+        before, come = come, replace(come, **{"remark": None, **change})
+        if come != before:
+            progress(come)
+
+    return decode_job(
+        job,
+        start,
+        stop,
+        strict=on_bad == "raise",
+        workers=workers,
+        cluster=cluster,
+        tell=lambda done, of: report(done=done, of=of),
+        step=lambda what: report(doing=what),
+        remark=lambda line: report(remark=line),
+    )
+
+
+def wanted_fields(names: Sequence[str] | None, *, in_mm: bool) -> Sequence[str] | None:
+    """Return the given fields, or those that most people read; None: all."""
+    if names is None:
+        return ("mask", "phase_sigma", *(("absolute", "points") if in_mm else ("range_image",)))
+    return None if tuple(names) == ("all",) else names
+
+
+def decode_job(
     job: Job,
     start: int = 0,
     stop: int | None = None,

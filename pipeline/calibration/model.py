@@ -431,6 +431,8 @@ class Calibration(Model):
             parts.append("crosstalk measured")
         return f"<Calibration: {', '.join(parts) or 'nothing is known'}>"
 
+    __str__ = __repr__
+
     def _repr_html_(self) -> str | None:
         return to_html(self)
 

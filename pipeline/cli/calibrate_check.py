@@ -49,7 +49,7 @@ def check(
         Write a calibration whose light is corrected by the picture.
     """
     from pipeline.acquisition.capture_folder import RECORDING
-    from pipeline.batch.job import with_transfer_of
+    from pipeline.decoding.footage_light import with_transfer_of
     from pipeline.diagnosis.rig_check import check_captures, check_picture, check_sequence, holds_captures
     from pipeline.footage.opening import open_footage
 

@@ -33,7 +33,7 @@ def touch_up(
     calibration
         The calibration that both are decoded with.
     """
-    from pipeline.batch.job import with_transfer_of
+    from pipeline.decoding.footage_light import with_transfer_of
     from pipeline.diagnosis.drift import measure_drift
     from pipeline.diagnosis.picture_reader import PictureReader
     from pipeline.footage.opening import open_footage

@@ -72,7 +72,7 @@ def certify(
     out
         The JSON file to write.
     """
-    from pipeline.batch.job import with_transfer_of
+    from pipeline.decoding.footage_light import with_transfer_of
     from pipeline.diagnosis.artefacts import BallBar, Volume, positions_in
     from pipeline.diagnosis.certificate import certify as measure
     from pipeline.diagnosis.certificate import open_pictures, under_cells

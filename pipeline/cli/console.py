@@ -33,6 +33,7 @@ from pipeline.errors import OutputError, SettingsError
 from pipeline.text import one_line
 
 if TYPE_CHECKING:
+    from pipeline.batch.run import DecodeProgress
     from pipeline.calibration import Calibration
     from pipeline.settings import DecodeSettings
 
@@ -201,6 +202,7 @@ class Count:
         self._line = line
         self._rate = FrameRate()
         self._before: int | None = None  # that were done before this run
+        self._shown = (-1, 0)
 
     def __call__(self, done: int, of: int) -> None:
         """Show that some frames are done; the first count was done before."""
@@ -212,9 +214,14 @@ class Count:
         left = "" if not per_s else f"{per_s:.1f} frames/s, {timedelta(seconds=round((of - done) / per_s))} left"
         self._line.count(done, of, left)
 
-    def step(self, what: str) -> None:
-        """Show what is being done."""
-        self._line.say(what)
+    def progress(self, come: "DecodeProgress") -> None:
+        """Show how far decoding has come."""
+        self._line.say(come.doing)
+        if come.remark is not None:
+            remark(come.remark)
+        if come.of and (come.done, come.of) != self._shown:
+            self._shown = come.done, come.of
+            self(come.done, come.of)
 
 
 @contextmanager

@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from pipeline.batch.job import Crop, Job
-from pipeline.batch.run import DecodeSummary, decode_footage
+from pipeline.batch.job import Crop
+from pipeline.batch.run import DecodeSummary, decode_footage, wanted_fields
 from pipeline.calibration import Calibration
 from pipeline.cli.console import (
     SOME_ARE_BAD,
@@ -30,7 +30,7 @@ from pipeline.errors import FootageError, SettingsError
 from pipeline.footage.footage import StoredAs
 from pipeline.footage.image_folder import is_footage
 from pipeline.models import CodeChoice
-from pipeline.output.folder import STORE, refuse_others
+from pipeline.output.folder import MESHES, STORE
 from pipeline.output.formats.table import FORMATS, Kind
 from pipeline.output.report import depth_in_words
 from pipeline.output.store import chosen_fields
@@ -38,7 +38,6 @@ from pipeline.output.stored_result import StoredResult, mesh_fields
 from pipeline.output.surface_mesh import MeshOptions
 from pipeline.settings import DecodeSettings
 
-_MESHES = "meshes"
 _SHOWN = 10  # bad frames that are named
 
 
@@ -196,57 +195,45 @@ def _decode_video(
     force: bool,
 ) -> None:
     """Decode footage and say what became of it; exit with code 3 where frames are bad."""
-    in_mm = calibration is not None and calibration.has_geometry
-    job = Job(
-        footage=str(footage),
-        says=stored_as,
-        settings=settings,
-        calibration=calibration,
-        crop=None if options.roi is None else Crop(*part_of(options.roi, "--roi")),
-        step=options.step,
-        first=options.start % options.step,
-        fields=chosen_fields(_wanted_fields(options.fields, in_mm=in_mm), in_mm=in_mm),
-        store=f"{out.rstrip('/')}/{STORE}",
-        arch=arch,
-    )
+    store = f"{out.rstrip('/')}/{STORE}"
     if options.export is not None:
-        _check_meshes(out, job, options.export, in_mm=in_mm)
-    if "://" not in out and Path(out).is_dir() and not force:
-        refuse_others(Path(out), (STORE, _MESHES))
+        _check_meshes(out, options.fields, options.export, in_mm=calibration is not None and calibration.has_geometry)
     with counted("decoding") as show:
         summary = decode_footage(
-            job,
-            options.start,
-            options.stop,
-            strict=options.strict,
+            footage,
+            out,
+            settings,
+            calibration,
+            fields=options.fields,
+            start=options.start,
+            stop=options.stop,
+            step=options.step,
+            crop=None if options.roi is None else Crop(*part_of(options.roi, "--roi")),
+            on_bad="raise" if options.strict else "skip",
             workers=options.workers,
             cluster=options.cluster,
-            tell=show,
-            step=show.step,
-            remark=remark,
+            arch=arch,
+            stored_as=stored_as,
+            force=force,
+            progress=show.progress,
         )
-    _say_summary(summary, job.store)
-    _say_whether_relative(job.store)
+    _say_summary(summary, store)
+    _say_whether_relative(store)
     if len(summary.unmeasured) == summary.n_frames - len(summary.bad):
         raise FootageError(f"nothing was measured in {footage.name}: run colorphase inspect {footage}")
     if options.export is not None:
-        write_frames(job.store, Path(out, _MESHES), options.export, part, force=force)
+        write_frames(store, Path(out, MESHES), options.export, part, force=force)
     if summary.bad or summary.unmeasured:
         sys.exit(SOME_ARE_BAD)
 
 
-def _wanted_fields(names: tuple[str, ...] | None, *, in_mm: bool) -> tuple[str, ...] | None:
-    """Return the given fields, or those that most people read; None: all."""
-    if names is None:
-        return ("mask", "phase_sigma", *(("absolute", "points") if in_mm else ("range_image",)))
-    return None if names == ("all",) else names
-
-
-def _check_meshes(out: str, job: Job, kind: Kind, *, in_mm: bool) -> None:
+def _check_meshes(out: str, names: tuple[str, ...] | None, kind: Kind, *, in_mm: bool) -> None:
     """Refuse files that could not be made, before footage is decoded for hours."""
     if "://" in out:
-        raise SettingsError(f"meshes go into folders here: omit --export, and run colorphase export {job.store}")
-    lacking = [name for name in mesh_fields(in_mm=in_mm) if name not in job.fields]
+        store = f"{out.rstrip('/')}/{STORE}"
+        raise SettingsError(f"meshes go into folders here: omit --export, and run colorphase export {store}")
+    fields = chosen_fields(wanted_fields(names, in_mm=in_mm), in_mm=in_mm)
+    lacking = [name for name in mesh_fields(in_mm=in_mm) if name not in fields]
     if lacking:
         raise SettingsError(f"meshes are made of {' and '.join(lacking)}: add that to --fields")
     if FORMATS[kind].encode_mesh is None and not in_mm:

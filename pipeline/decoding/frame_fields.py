@@ -132,7 +132,7 @@ class FrameFields(ABC):
         """Return all fields as an `xarray.Dataset`, with the units and coordinates of a ``result.zarr``.
 
         The number and the time of a frame of footage are coordinates, ``frame`` and ``time``, by which `xarray.concat`
-        joins frames: ``xarray.concat([frame.to_xarray() for frame in frames], "frame")``.
+        joins frames: ``xarray.concat([frame.to_xarray() for frame in frames], "frame", coords="different")``.
 
         Raises
         ------

@@ -87,6 +87,13 @@ class LightEstimate(Model):
     reliable: bool
     """Whether decoding is better off with it."""
 
+    def __repr__(self) -> str:
+        leak = (self.crosstalk_matrix - np.diag(np.diag(self.crosstalk_matrix))).max()
+        doubt = "reliable" if self.reliable else "not reliable"
+        return f"<LightEstimate: leaks of up to {leak:.1%}, a ripple of {self.ripple:.2g} rad without it, {doubt}>"
+
+    __str__ = __repr__
+
 
 def _response_curve(harmonics: FloatArray) -> FloatArray:
     """Return the light of 256 codes, rising from 0 to 1."""

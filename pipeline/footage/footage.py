@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Self, cast
+from typing import Literal, Self, cast
 
 import numpy as np
 
@@ -37,6 +37,8 @@ class BadFrame:
     reason: str  # one line, without the number
 
 
+#: What becomes of a bad frame: it ends the reading, or is left out.
+OnBad = Literal["raise", "skip"]
 #: Frames by number; closing them lets go of the file at once.
 Frames = Generator[StoredFrame | BadFrame, None, None]
 

@@ -29,8 +29,8 @@ from pipeline.output.range_image import shade_range, write_png, write_range_imag
 from pipeline.output.store import WORTH_SAYING, holds_footage, in_bytes, is_there, write_store
 from pipeline.output.surface_mesh import MeshOptions, counted_mesh
 
-#: The result in an output folder.
-STORE = "result.zarr"
+#: The result in an output folder, and the folder of meshes beside it.
+STORE, MESHES = "result.zarr", "meshes"
 _REPORT = "report.json"
 # What a report says of the files beside it: the mark of each, by name.
 _FILES = "files"

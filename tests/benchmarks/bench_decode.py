@@ -34,7 +34,7 @@ from support.recorded_footage import record
 from pipeline import Decoder, DecodeSettings
 from pipeline.batch.executors import usable_cores
 from pipeline.batch.job import Job
-from pipeline.batch.run import decode_footage
+from pipeline.batch.run import decode_job
 from pipeline.footage.footage import StoredAs
 from pipeline.output.range_image import write_png
 from pipeline.simulation import DEFAULT_PERIOD_PX, TYPICAL_CROSSTALK, SimulationSettings, simulate_frame, simulated_rig
@@ -229,7 +229,7 @@ def footage(arch: str) -> None:
         for workers in (None, 1):
             shutil.rmtree(store, ignore_errors=True)
             clocks: list[float] = []
-            decode_footage(job, workers=workers, tell=lambda done, of: clocks.append(time.perf_counter()))  # noqa: B023
+            decode_job(job, workers=workers, tell=lambda done, of: clocks.append(time.perf_counter()))  # noqa: B023
             first, last = len(clocks) // 5, 4 * len(clocks) // 5
             rate = (last - first) / (clocks[last] - clocks[first])
             where = "a process for each core" if workers is None else "one process"

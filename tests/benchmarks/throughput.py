@@ -24,7 +24,7 @@ from support.recorded_footage import record
 from pipeline import DecodeSettings
 from pipeline.batch.executors import usable_cores
 from pipeline.batch.job import Job
-from pipeline.batch.run import decode_footage
+from pipeline.batch.run import decode_job
 from pipeline.batch.worker import _WRITERS
 from pipeline.decoding.frame import read_back
 from pipeline.decoding.rig_state import RigState
@@ -46,7 +46,7 @@ def measure(n_frames: int, run: Callable[[], object]) -> float:
 def stages(job: Job, n_frames: int, rounds: int) -> None:
     """Measure each stage alone, and all together."""
     warm = replace(job, store=f"{job.store}.warm")
-    decode_footage(warm, stop=8)  # compiles the kernels, and makes a store
+    decode_job(warm, stop=8)  # compiles the kernels, and makes a store
     source, decoder = job.open(), job.decoder()
     store = warm.pinned(source).open_store(source)
     decoder.state = RigState(asks=frozenset({"code"}))
@@ -91,7 +91,7 @@ def together(job: Job) -> float:
     """Return frames a second of a run, between its first and its last fifth: starting takes as long for any length."""
     shutil.rmtree(job.store, ignore_errors=True)
     clocks: list[float] = []
-    decode_footage(job, tell=lambda done, of: clocks.append(time.perf_counter()))
+    decode_job(job, tell=lambda done, of: clocks.append(time.perf_counter()))
     first, last = len(clocks) // 5, 4 * len(clocks) // 5
     return (last - first) / (clocks[last] - clocks[first])
 
@@ -104,7 +104,7 @@ def long_run(job: Job, n_frames: int) -> None:
         times[done] = time.perf_counter()
         sizes[done] = int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
-    decode_footage(job, tell=note)
+    decode_job(job, tell=note)
     first, last = (100 / (times[k + 100] - times[k]) for k in (0, n_frames - 100))
     print(f"\n{n_frames} frames: the first hundred at {first:.1f}, the last at {last:.1f} frames/s")
     print(f"memory after frame 100: {sizes[100]:.0f} MB, at the end {sizes[n_frames]:.0f} (goal: 20 more at most)")

@@ -26,8 +26,8 @@ from drawn_scenes import SCENES
 from ray_caster import NOTHING
 
 from pipeline import Calibration, DecodedFrame, Decoder, DecodeSettings
-from pipeline.batch.job import with_transfer_of
 from pipeline.calibration.model import choose_pattern
+from pipeline.decoding.footage_light import with_transfer_of
 from pipeline.errors import DecodeWarning
 from pipeline.footage.opening import open_footage
 from tikernels import runtime

@@ -3,7 +3,7 @@
 import pytest
 from support.recorded_footage import N_FRAMES, contents, job_of, record
 
-from pipeline.batch.run import decode_footage
+from pipeline.batch.run import decode_job
 
 
 @pytest.fixture(scope="session")
@@ -18,5 +18,5 @@ def folder(tmp_path_factory, cpu):
 def here(folder):
     """Return what a run in this process stores."""
     store = folder / "here.zarr"
-    decode_footage(job_of(folder, store))
+    decode_job(job_of(folder, store))
     return contents(store)

@@ -14,7 +14,7 @@ import zarr
 from support.recorded_footage import contents, job_of, record
 
 from pipeline.batch import job as jobs
-from pipeline.batch.run import Stopped, decode_footage
+from pipeline.batch.run import Stopped, decode_job
 from pipeline.calibration import Calibration
 from pipeline.errors import FootageError, OutputError
 from pipeline.output.stored_result import StoredResult
@@ -152,13 +152,13 @@ def stored(store: Path):
 def check_against_a_fresh_run(footage):
     """Decode what has been decoded before; it is as if it had been decoded now, or refused."""
     try:
-        decode_footage(footage.job("result.zarr"))
+        decode_job(footage.job("result.zarr"))
     except (OutputError, FootageError) as error:
         assert REFUSED.fullmatch(str(error)), error
         footage.renew()
         return False
     shutil.rmtree(footage.place / "fresh.zarr", ignore_errors=True)
-    decode_footage(footage.job("fresh.zarr"))
+    decode_job(footage.job("fresh.zarr"))
     assert stored(footage.place / "result.zarr") == stored(footage.place / "fresh.zarr")
     return True
 
@@ -181,7 +181,7 @@ def test_changes_between_runs(footage):
                 if done == stop:
                     raise KeyboardInterrupt
 
-            decode_footage(footage.job("result.zarr"), tell=tell)
+            decode_job(footage.job("result.zarr"), tell=tell)
         except (Stopped, KeyboardInterrupt):
             pass
         footage.change()
@@ -207,7 +207,7 @@ def test_changes_while_it_runs_that_are_undone_afterwards(footage):
 
         shutil.rmtree(footage.place / "result.zarr", ignore_errors=True)
         try:
-            summary = decode_footage(
+            summary = decode_job(
                 footage.job("result.zarr"), workers=1, step=change, tell=lambda done, of, change=change: change(done)
             )
             n_bad += sum("has changed since this run began: run again" in bad.reason for bad in summary.bad)

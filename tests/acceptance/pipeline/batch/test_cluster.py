@@ -10,7 +10,7 @@ from support.dask_cluster import local_cluster
 from support.missing import import_but_fail_in_ci
 from support.recorded_footage import contents, job_of
 
-from pipeline.batch.run import decode_footage
+from pipeline.batch.run import decode_job
 from pipeline.errors import ClusterError
 
 import_but_fail_in_ci("distributed")
@@ -25,7 +25,7 @@ pytestmark = [
 def test_the_same_bytes_as_here(folder, here, tmp_path):
     store = tmp_path / "result.zarr"
     with local_cluster(2) as cluster:
-        decode_footage(job_of(folder, store), cluster=cluster.scheduler_address)
+        decode_job(job_of(folder, store), cluster=cluster.scheduler_address)
     assert contents(store) == here
 
 
@@ -47,16 +47,16 @@ def test_by_tls(folder, here, tmp_path):
         with local_cluster(1, protocol="tls") as cluster:
             address = cluster.scheduler_address
             assert address.startswith("tls://")
-            decode_footage(job_of(folder, store), cluster=address)
+            decode_job(job_of(folder, store), cluster=address)
             with pytest.raises(ClusterError, match="one that does not know us"):
-                decode_footage(job_of(folder, tmp_path / "other.zarr"), cluster=address.replace("tls", "tcp"))
+                decode_job(job_of(folder, tmp_path / "other.zarr"), cluster=address.replace("tls", "tcp"))
     assert contents(store) == here
 
 
 def test_no_scheduler(folder, tmp_path):
     """It is known at once where nobody listens."""
     with pytest.raises(ClusterError, match=r"no scheduler answers at tcp://127\.0\.0\.1:9 \(.*refused"):
-        decode_footage(job_of(folder, tmp_path / "result.zarr"), cluster="tcp://127.0.0.1:9")
+        decode_job(job_of(folder, tmp_path / "result.zarr"), cluster="tcp://127.0.0.1:9")
 
 
 def test_something_else_listens(folder, tmp_path):
@@ -72,7 +72,7 @@ def test_something_else_listens(folder, tmp_path):
         answering = threading.Thread(target=answer)
         answering.start()
         with pytest.raises(ClusterError, match="is no Dask scheduler"):
-            decode_footage(job_of(folder, tmp_path / "result.zarr"), cluster=address)
+            decode_job(job_of(folder, tmp_path / "result.zarr"), cluster=address)
         answering.join(10)
 
 
@@ -83,4 +83,4 @@ def test_no_worker_is_left(folder, tmp_path, monkeypatch):
     with local_cluster(1) as cluster:
         cluster.scale(0)
         with pytest.raises(ClusterError, match="no worker is left: start one"):
-            decode_footage(job, cluster=cluster.scheduler_address)
+            decode_job(job, cluster=cluster.scheduler_address)

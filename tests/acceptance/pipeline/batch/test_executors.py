@@ -17,7 +17,7 @@ from support.recorded_footage import N_FRAMES, contents, job_of, record
 from pipeline import DecodeSettings
 from pipeline.batch import executors
 from pipeline.batch.job import CHAIN_FRAMES, Job
-from pipeline.batch.run import decode_footage
+from pipeline.batch.run import decode_job
 from pipeline.errors import ClusterError, FootageError, OutputError
 from pipeline.footage.footage import StoredAs
 from pipeline.output.store import chosen_fields
@@ -56,7 +56,7 @@ def test_processes_that_are_killed(folder, here, tmp_path):
     killer = threading.Thread(target=kill)
     killer.start()
     try:
-        summary = decode_footage(job_of(folder, store), workers=2)
+        summary = decode_job(job_of(folder, store), workers=2)
     finally:
         finished.set()
         killer.join()
@@ -94,7 +94,7 @@ import sys
 from pathlib import Path
 from support.recorded_footage import job_of
 from pipeline.batch.job import Job
-from pipeline.batch.run import decode_footage
+from pipeline.batch.run import decode_job
 from tikernels import runtime
 from tikernels._taichi import ti
 
@@ -104,7 +104,7 @@ def learn(job, source):
 
 Job.learn = learn
 folder, workers = Path(sys.argv[1]), int(sys.argv[2])
-try: decode_footage(job_of(folder, Path(sys.argv[3])), workers=workers)
+try: decode_job(job_of(folder, Path(sys.argv[3])), workers=workers)
 except KeyboardInterrupt: pass
 """
 
@@ -131,15 +131,15 @@ def test_an_error_in_a_worker_is_one_line(folder, tmp_path):
     fields = chosen_fields(("mask",), in_mm=False)
     job = Job(str(film), StoredAs(), DecodeSettings(), None, None, 1, 0, fields, str(tmp_path / "r.zarr"), "cpu")
     with pytest.raises(FootageError, match=r"frame 66 of .*film\.zarr: it is missing"):
-        decode_footage(job, strict=True, workers=2)
-    assert decode_footage(job).bad[0].number == 66
+        decode_job(job, strict=True, workers=2)
+    assert decode_job(job).bad[0].number == 66
 
 
 @pytest.mark.usefixtures("kernels_on_disk")
 def test_that_die_again_and_again(folder, tmp_path, monkeypatch):
     monkeypatch.setattr(executors, "_SILENT_S", 0.0)
     with pytest.raises(ClusterError, match="processes died over the same frames"):
-        decode_footage(job_of(folder, tmp_path / "result.zarr"), workers=2)
+        decode_job(job_of(folder, tmp_path / "result.zarr"), workers=2)
 
 
 @pytest.mark.usefixtures("kernels_on_disk")
@@ -152,7 +152,7 @@ def test_an_error_of_ours_comes_back_as_it_was(folder, tmp_path):
             shutil.rmtree(job.store, ignore_errors=True)
 
     with pytest.raises(OutputError, match=r"vanished|is not there"):
-        decode_footage(job, workers=2, tell=remove)
+        decode_job(job, workers=2, tell=remove)
     assert not (Path(job.store) / "zarr.json").exists()
 
 
@@ -164,5 +164,5 @@ def test_each_process_has_its_share_of_the_cores(folder, tmp_path):
     def look(done, of):
         seen.update(tuple(sorted(os.sched_getaffinity(child))) for child in children())
 
-    decode_footage(job_of(folder, tmp_path / "result.zarr"), workers=2, tell=look)
+    decode_job(job_of(folder, tmp_path / "result.zarr"), workers=2, tell=look)
     assert seen == {tuple(share) for share in executors.shares(executors.usable_cores(), 2)}

@@ -12,7 +12,7 @@ from support.recorded_footage import contents, kill_again_and_again, record
 
 from pipeline import DecodeSettings
 from pipeline.batch.job import Job
-from pipeline.batch.run import decode_footage
+from pipeline.batch.run import decode_job
 from pipeline.footage.footage import StoredAs
 from pipeline.output.store import chosen_fields
 
@@ -32,7 +32,7 @@ def test_killed_again_and_again(tmp_path):
 
     def finish(folder: Path) -> None:
         store = f"{folder}/result.zarr"
-        decode_footage(Job(str(film), StoredAs(), DecodeSettings(), None, None, 1, 0, fields, store, "cpu"))
+        decode_job(Job(str(film), StoredAs(), DecodeSettings(), None, None, 1, 0, fields, store, "cpu"))
 
     finish(tmp_path / "whole")
     killed = kill_again_and_again(film, tmp_path / "killed", KILLS, 5, *options)
@@ -52,7 +52,7 @@ def test_memory_stays_flat(tmp_path):
         sizes[done] = int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
     fields = chosen_fields(None, in_mm=False)
-    decode_footage(
+    decode_job(
         Job(str(film), StoredAs(), DecodeSettings(), None, None, 1, 0, fields, str(tmp_path / "r"), "cpu"), tell=note
     )
     assert sizes[150] - sizes[50] < 20

@@ -8,7 +8,7 @@ from support.numbered_frames import RGB8, frame_of
 from support.power_cuts import PowerCuts
 from support.recorded_footage import job_of, record
 
-from pipeline.batch.run import decode_footage
+from pipeline.batch.run import decode_job
 from pipeline.errors import FootageError
 from pipeline.footage.footage import StoredFrame
 from pipeline.footage.opening import open_footage
@@ -37,7 +37,7 @@ def test_results(tmp_path, monkeypatch, disk):
     (tmp_path / "out").mkdir()
     cuts, told = PowerCuts(tmp_path / "out", monkeypatch), []
     job = job_of(tmp_path, tmp_path / "out" / "result.zarr")
-    decode_footage(job, tell=lambda done, of: told.append((len(cuts.events), done)))
+    decode_job(job, tell=lambda done, of: told.append((len(cuts.events), done)))
     monkeypatch.undo()
     kept = []
     for moment in np.unique(np.linspace(0, len(cuts.events), MOMENTS).astype(int)):
@@ -60,11 +60,11 @@ def test_a_store_that_was_cut_off_is_completed(tmp_path, monkeypatch, disk):
     record(tmp_path / "film.zarr", 3)
     (tmp_path / "out").mkdir()
     cuts = PowerCuts(tmp_path / "out", monkeypatch)
-    decode_footage(job_of(tmp_path, tmp_path / "out" / "result.zarr"))
+    decode_job(job_of(tmp_path, tmp_path / "out" / "result.zarr"))
     monkeypatch.undo()
     for moment in np.linspace(0, len(cuts.events), 6).astype(int):
         cuts.left(moment, tmp_path / f"left {moment}", DISKS[disk])
-        summary = decode_footage(job_of(tmp_path, tmp_path / f"left {moment}" / "result.zarr"))
+        summary = decode_job(job_of(tmp_path, tmp_path / f"left {moment}" / "result.zarr"))
         assert summary.damaged == {}
         result = StoredResult(tmp_path / f"left {moment}" / "result.zarr")
         assert [result.fault(number) for number in range(3)] == [None] * 3

@@ -10,7 +10,7 @@ from pipeline import DecodeSettings
 from pipeline.batch import executors
 from pipeline.batch.executors import ProcessExecutor, idle_processes, worthwhile_processes
 from pipeline.batch.job import Job, chains
-from pipeline.batch.run import decode_footage
+from pipeline.batch.run import decode_job
 from pipeline.errors import FootageError, OutputError
 from pipeline.footage.footage import StoredAs
 from pipeline.processes import Child
@@ -101,7 +101,7 @@ def child(tmp_path, cpu):
 
 def test_frames_are_told_one_by_one(child):
     process, job = child
-    decode_footage(job, stop=1)  # makes the store
+    decode_job(job, stop=1)  # makes the store
     process.send(job)
     assert process.receive() is None
     if os.name == "posix":

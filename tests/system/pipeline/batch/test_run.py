@@ -19,7 +19,7 @@ from support.recorded_footage import contents, record
 from pipeline import Decoder, DecodeSettings
 from pipeline.batch import job as jobs
 from pipeline.batch.job import Crop, Job
-from pipeline.batch.run import Stopped, decode_footage
+from pipeline.batch.run import Stopped, decode_job
 from pipeline.decoding.frame import FIELDS, read_back
 from pipeline.decoding.front_side import RimVotes
 from pipeline.errors import CalibrationError, FootageError, OutputError, SettingsError
@@ -80,7 +80,7 @@ def undisturbed(folder, rig):
         store = folder / "undisturbed.zarr"
         fields = chosen_fields(None, in_mm=False)
         film = str(folder / "film.zarr")
-        decode_footage(Job(film, StoredAs(), DecodeSettings(), None, None, 1, 0, fields, str(store), "cpu"))
+        decode_job(Job(film, StoredAs(), DecodeSettings(), None, None, 1, 0, fields, str(store), "cpu"))
         return contents(store)
 
 
@@ -91,7 +91,7 @@ def marked(store):
 def test_a_run_stores_what_the_decoder_gives(job, folder):
     """Chains start afresh at every fourth frame, and each frame leans on the one before in its chain."""
     told = []
-    summary = decode_footage(job, tell=lambda *progress: told.append(progress))
+    summary = decode_job(job, tell=lambda *progress: told.append(progress))
     assert (summary.n_frames, summary.n_before, summary.bad) == (N_FRAMES, 0, [])
     assert told == [(n, N_FRAMES) for n in range(N_FRAMES + 1)]
     group = zarr.open_group(job.store, mode="r")
@@ -120,7 +120,7 @@ def test_a_run_stores_what_the_decoder_gives(job, folder):
 
 
 def test_the_store_is_plain_zarr(job):
-    decode_footage(job, stop=3)
+    decode_job(job, stop=3)
     group = zarr.open_group(job.store, mode="r")
     assert group.metadata.zarr_format == 3
     assert set(group.array_keys()) == {*job.fields, "done", "frame", "time", "y", "x", "rgb"}
@@ -135,9 +135,9 @@ def test_the_store_is_plain_zarr(job):
 
 
 def test_a_second_run_does_nothing(job, undisturbed):
-    decode_footage(job)
+    decode_job(job)
     times = {path: path.stat().st_mtime_ns for path in Path(job.store).rglob("*")}
-    summary = decode_footage(job)
+    summary = decode_job(job)
     assert summary.n_before == N_FRAMES
     assert {path: path.stat().st_mtime_ns for path in Path(job.store).rglob("*")} == times
     assert contents(Path(job.store)) == undisturbed
@@ -146,17 +146,17 @@ def test_a_second_run_does_nothing(job, undisturbed):
 @pytest.mark.parametrize("parts", [((0, 6), (6, None)), ((7, 9), (3, 8), (0, None)), ((11, 12), (0, None))])
 def test_parts_in_any_order_give_the_same_bytes(job, undisturbed, parts):
     for start, stop in parts:
-        decode_footage(job, start, stop)
+        decode_job(job, start, stop)
     assert contents(Path(job.store)) == undisturbed
 
 
 def test_steps(job, tmp_path):
     """Every third frame from the second on; the chains are of those frames, wherever the run begins."""
     job = replace(job, step=3, first=1)
-    decode_footage(job, start=1)
+    decode_job(job, start=1)
     assert marked(job.store) == {1, 4, 7, 10, 13}
     part = replace(job, store=str(tmp_path / "part.zarr"))
-    decode_footage(part, start=7, stop=11)
+    decode_job(part, start=7, stop=11)
     assert marked(part.store) == {7, 10}
     for name in job.fields:
         for number in (7, 10):
@@ -166,49 +166,49 @@ def test_steps(job, tmp_path):
 
 def test_no_frames_are_asked_for(job):
     with pytest.raises(SettingsError, match="has 14 frames, none of which is asked for"):
-        decode_footage(job, start=20)
+        decode_job(job, start=20)
     assert not Path(job.store).exists()
 
 
 def test_leftovers_and_marks_cut_off(job, undisturbed):
-    decode_footage(job, stop=5)
+    decode_job(job, stop=5)
     store = Path(job.store)
     (store / "done" / "c.3.0").write_bytes(b"")
     (store / "mask" / ".0123.part").write_bytes(b"half")
     (store / "zarr.0123.partial").write_bytes(b"half")
-    decode_footage(job)
+    decode_job(job)
     assert contents(store) == undisturbed
 
 
 def test_damaged_frames_are_decoded_again(job, undisturbed):
     """By the run that goes on, which says which they were."""
-    decode_footage(job)
+    decode_job(job)
     store = Path(job.store)
     (store / "mask" / "c.3.0.0").unlink()
     chunk = bytearray((store / "range_image" / "c.9.0.0").read_bytes())
     chunk[len(chunk) // 2] ^= 8
     (store / "range_image" / "c.9.0.0").write_bytes(chunk)
-    summary = decode_footage(job, stop=8)
+    summary = decode_job(job, stop=8)
     assert summary.damaged == {3: "mask is missing"} and summary.n_before == 7
-    summary = decode_footage(job)
+    summary = decode_job(job)
     assert summary.damaged.keys() == {9} and summary.n_before == N_FRAMES - 1
     assert contents(store) == undisturbed
 
 
 @pytest.mark.parametrize("damage", [b"", b"{}", b"not JSON"])
 def test_damaged_metadata_is_written_anew(job, undisturbed, damage):
-    decode_footage(job)
+    decode_job(job)
     (Path(job.store) / "zarr.json").write_bytes(damage)
-    summary = decode_footage(job)
+    summary = decode_job(job)
     assert summary.n_before == N_FRAMES and "it is written anew" in summary.notes[-1]
     assert contents(Path(job.store)) == undisturbed
 
 
 def test_arrays_of_another_making_do_not_pass(job, undisturbed):
     """Another shape, type or codec: what others have put there is written anew."""
-    decode_footage(job, stop=3)
+    decode_job(job, stop=3)
     zarr.create_array(f"{job.store}/mask", shape=(N_FRAMES, 48, 64), dtype="f4", overwrite=True)
-    summary = decode_footage(job)
+    summary = decode_job(job)
     assert summary.damaged == dict.fromkeys(range(3), "mask is missing")
     assert contents(Path(job.store)) == undisturbed
 
@@ -217,7 +217,7 @@ def test_what_is_said_of_a_run_before_and_while_frames_are_decoded(job, monkeypa
     """How large it will be, by a frame or by those that are there; which processes do not help; what is being done."""
     monkeypatch.setattr("pipeline.output.store.WORTH_SAYING", 1e3)
     steps, remarks = [], []
-    decode_footage(job, stop=3, workers=1, step=steps.append, remark=remarks.append)
+    decode_job(job, stop=3, workers=1, step=steps.append, remark=remarks.append)
     assert list(dict.fromkeys(step.partition(" to about ")[0] for step in steps)) == [
         "reading the footage",
         "looking at what is there",
@@ -230,7 +230,7 @@ def test_what_is_said_of_a_run_before_and_while_frames_are_decoded(job, monkeypa
     found_kb = sum(path.stat().st_size for path in Path(job.store).rglob("c.*")) / 1e3
     assert expected_kb == pytest.approx(found_kb, rel=0.2)  # three frames are as large as three times the first
     steps.clear()
-    decode_footage(job, workers=1, step=steps.append, remark=remarks.append)
+    decode_job(job, workers=1, step=steps.append, remark=remarks.append)
     assert steps[1:3] == ["looking at what is there", "compiling kernels"] and "will grow by about" in remarks[1]
 
 
@@ -238,9 +238,9 @@ def test_what_does_not_fit_on_the_disk_is_refused_before_it_is_decoded(job, undi
     with monkeypatch.context() as patch:
         patch.setattr("pipeline.output.store.free_bytes", lambda location: 1000)
         with pytest.raises(OutputError, match=r"will grow by about .* and 1.0 kB are free on its disk: choose fewer"):
-            decode_footage(job)
+            decode_job(job)
         assert not Path(job.store).exists()
-    decode_footage(job)  # into the same place
+    decode_job(job)  # into the same place
     assert contents(Path(job.store)) == undisturbed
 
 
@@ -248,19 +248,19 @@ def test_two_runs_do_not_write_to_one_store(job, undisturbed):
     def second(done, of):
         if done == 3:
             with pytest.raises(OutputError, match=r"is being written by another run \(process \d+ on .*: wait until"):
-                decode_footage(job)
+                decode_job(job)
 
-    decode_footage(job, tell=second)
+    decode_job(job, tell=second)
     assert contents(Path(job.store)) == undisturbed
     assert [entry.name for entry in Path(job.store).parent.iterdir()] == ["result.zarr"]
 
 
 def test_a_store_half_made_is_completed(job, undisturbed):
-    decode_footage(job, stop=1)
+    decode_job(job, stop=1)
     store = Path(job.store)
     for name in ("range_image", "done", "x"):
         shutil.rmtree(store / name)
-    decode_footage(job)
+    decode_job(job)
     assert contents(store) == undisturbed
 
 
@@ -274,30 +274,30 @@ def test_a_store_half_made_is_completed(job, undisturbed):
     ],
 )
 def test_a_run_with_other_settings_does_not_mix(job, change, key):
-    decode_footage(job, stop=2)
+    decode_job(job, stop=2)
     before = contents(Path(job.store))
     with pytest.raises(OutputError, match=key) as caught:
-        decode_footage(replace(job, **change))
+        decode_job(replace(job, **change))
     assert "\n" not in str(caught.value)
     assert contents(Path(job.store)) == before
 
 
 def test_a_run_without_the_region_of_interest_does_not_mix(job):
-    decode_footage(replace(job, crop=Crop(0, 0, 64, 64)), stop=2)
+    decode_job(replace(job, crop=Crop(0, 0, 64, 64)), stop=2)
     before = contents(Path(job.store))
     with pytest.raises(OutputError, match=r"region_of_interest\.x is 0 there, null here"):
-        decode_footage(job)
+        decode_job(job)
     assert contents(Path(job.store)) == before
 
 
 def test_other_footage_and_other_rigs_do_not_mix(job, rig, tmp_path):
-    decode_footage(job, stop=1)
+    decode_job(job, stop=1)
     with pytest.raises(OutputError, match="calibration is another one"):
-        decode_footage(replace(job, calibration=rig))
+        decode_job(replace(job, calibration=rig))
     (tmp_path / "other").mkdir()
     record(tmp_path / "other" / "film.zarr", 3)
     with pytest.raises(OutputError, match=r"footage\.frames is 14 there, 3 here"):
-        decode_footage(replace(job, footage=str(tmp_path / "other" / "film.zarr")))
+        decode_job(replace(job, footage=str(tmp_path / "other" / "film.zarr")))
 
 
 @pytest.fixture
@@ -323,34 +323,34 @@ def remove_one_and_add_another(pictures):
 def test_a_result_is_never_another_pictures(pictures, tmp_path, change, again):
     """Number, sizes and the first picture stay; what leans on a picture in its chain is decoded anew, too."""
     there, job = pictures
-    decode_footage(job)
+    decode_job(job)
     change(there)
-    summary = decode_footage(job)
+    summary = decode_job(job)
     assert summary.damaged.keys() == again and summary.n_before == 5 - len(again)
     assert set(summary.damaged.values()) == {"the footage has changed there since it was decoded"}
     fresh = replace(job, store=str(tmp_path / "fresh.zarr"))
-    decode_footage(fresh)
+    decode_job(fresh)
     assert contents(Path(job.store)) == contents(Path(fresh.store))
-    assert decode_footage(job).n_before == 5
+    assert decode_job(job).n_before == 5
 
 
 def test_another_first_picture_is_told_without_digests(pictures):
     there, job = pictures
-    decode_footage(job)
+    decode_job(job)
     shutil.copy(there / "4.bmp", there / "0.bmp")
     with pytest.raises(OutputError, match=r"made otherwise \(footage\.first_frame is another one\): choose"):
-        decode_footage(job)
+        decode_job(job)
 
 
 def test_a_bad_picture_that_is_copied_again_is_decoded(pictures, tmp_path):
     there, job = pictures
     whole = (there / "1.bmp").read_bytes()
     (there / "1.bmp").write_bytes(whole[:-5000])
-    assert [bad.number for bad in decode_footage(job).bad] == [1]
+    assert [bad.number for bad in decode_job(job).bad] == [1]
     (there / "1.bmp").write_bytes(whole)
-    assert decode_footage(job).bad == []
+    assert decode_job(job).bad == []
     fresh = replace(job, store=str(tmp_path / "fresh.zarr"))
-    decode_footage(fresh)
+    decode_job(fresh)
     assert contents(Path(job.store)) == contents(Path(fresh.store))
 
 
@@ -361,12 +361,12 @@ def test_a_recording_and_a_video_that_were_cut_anew(job, folder, tmp_path):
     export_video(film, video)
     of_film, of_video = (replace(job, footage=str(path), store=f"{path}.r", fields=("mask",)) for path in (film, video))
     for each in (of_film, of_video):
-        decode_footage(each, stop=6)
+        decode_job(each, stop=6)
     shutil.copy(film / "frames" / "c.9.0.0.0", film / "frames" / "c.5.0.0.0")
     video.unlink()
     export_video(film, video)
-    assert decode_footage(of_film, stop=6).damaged.keys() == {5}
-    assert decode_footage(of_video, stop=6).damaged.keys() == set(range(6))
+    assert decode_job(of_film, stop=6).damaged.keys() == {5}
+    assert decode_job(of_video, stop=6).damaged.keys() == set(range(6))
 
 
 def test_a_folder_that_grows_is_decoded_as_it_was_listed(pictures):
@@ -376,7 +376,7 @@ def test_a_folder_that_grows_is_decoded_as_it_was_listed(pictures):
         if step == "compiling kernels":  # before the worker opens the folder
             shutil.copy(there / "4.bmp", there / "5.bmp")
 
-    summary = decode_footage(job, workers=1, step=add_one)
+    summary = decode_job(job, workers=1, step=add_one)
     assert (there / "5.bmp").exists()
     assert (summary.n_frames, summary.bad) == (5, [])
     assert marked(job.store) == set(range(5))
@@ -386,11 +386,11 @@ def test_something_else_in_its_place(job):
     for make in (lambda path: path.write_text("mine"), lambda path: (path / "mine").mkdir(parents=True)):
         make(Path(job.store))
         with pytest.raises(OutputError, match="not a result of ours"):
-            decode_footage(job)
+            decode_job(job)
         shutil.rmtree(job.store, ignore_errors=True) or Path(job.store).unlink(missing_ok=True)
     zarr.open_group(job.store, mode="w")
     with pytest.raises(OutputError, match="not a result of ours"):
-        decode_footage(job)
+        decode_job(job)
 
 
 def test_bad_frames_are_left_out(job, folder, tmp_path, undisturbed):
@@ -399,7 +399,7 @@ def test_bad_frames_are_left_out(job, folder, tmp_path, undisturbed):
     for number in (6, 13):
         (film / "frames" / f"c.{number}.0.0.0").unlink()
     job = replace(job, footage=str(film))
-    summary = decode_footage(job)
+    summary = decode_job(job)
     assert [bad.number for bad in summary.bad] == [6, 13]
     assert all("missing" in bad.reason for bad in summary.bad)
     assert marked(job.store) == set(range(N_FRAMES)) - {6, 13}
@@ -407,7 +407,7 @@ def test_bad_frames_are_left_out(job, folder, tmp_path, undisturbed):
     stored = contents(Path(job.store))
     for number in (4, 5, 8, 12):
         assert stored[f"unwrapped_phase/c.{number}.0.0"] == undisturbed[f"unwrapped_phase/c.{number}.0.0"]
-    again = decode_footage(job)
+    again = decode_job(job)
     assert [bad.number for bad in again.bad] == [6, 13] and again.n_before == N_FRAMES - 2
     assert contents(Path(job.store)) == stored
 
@@ -417,7 +417,7 @@ def test_strict_stops_at_a_bad_frame(job, folder, tmp_path):
     shutil.copytree(folder / "film.zarr", film)
     (film / "frames" / "c.6.0.0.0").unlink()
     with pytest.raises(FootageError, match=r"frame 6 of .*film.zarr: it is missing"):
-        decode_footage(replace(job, footage=str(film)), strict=True)
+        decode_job(replace(job, footage=str(film)), strict=True)
     assert {0, 1} <= marked(job.store) <= {0, 1, 2, 3, 4, 5}
 
 
@@ -428,7 +428,7 @@ def test_frames_that_cannot_be_decoded_are_bad(tmp_path, folder, job):
     with Recorder(tmp_path / "film.zarr", PixelFormat("rgb", 32)) as recorder:
         for image in images:
             recorder.add(image)
-    summary = decode_footage(replace(job, footage=str(tmp_path / "film.zarr")))
+    summary = decode_job(replace(job, footage=str(tmp_path / "film.zarr")))
     assert [bad.number for bad in summary.bad] == [1] and "NaN" in summary.bad[0].reason
     assert marked(job.store) == {0, 2}
 
@@ -438,9 +438,9 @@ def test_frames_without_fringes_come_with_a_warning(tmp_path, folder, job, undis
     with Recorder(tmp_path / "film.zarr", PixelFormat("rgb")) as recorder:
         for image in (np.zeros_like(images[0]), *images):
             recorder.add(image)
-    summary = decode_footage(replace(job, footage=str(tmp_path / "film.zarr")))
+    summary = decode_job(replace(job, footage=str(tmp_path / "film.zarr")))
     assert list(summary.warned) == [0, 1] and "no fringe" in summary.warned[0][0]
-    assert summary.unmeasured == decode_footage(replace(job, footage=str(tmp_path / "film.zarr"))).unmeasured == [0]
+    assert summary.unmeasured == decode_job(replace(job, footage=str(tmp_path / "film.zarr"))).unmeasured == [0]
     assert "nothing of the frame before" in summary.warned[1][0]
     group = zarr.open_group(job.store, mode="r")
     assert "no fringe" in json.loads(bytes(group["done"][0]))["warnings"][0]
@@ -458,10 +458,10 @@ def test_dark_frames_leave_nothing_in_the_buffers(tmp_path, folder, rig, job, ca
     monkeypatch.setattr(jobs, "CHAIN_FRAMES", 100)
     job = replace(job, footage=str(tmp_path / "film.zarr"), calibration=rig if calibrated else None)
     job = replace(job, fields=chosen_fields(None, in_mm=calibrated))
-    decode_footage(job)
+    decode_job(job)
     monkeypatch.setattr("pipeline.batch.worker._RESULTS", 9)
     more = replace(job, store=str(tmp_path / "more.zarr"))
-    decode_footage(more)
+    decode_job(more)
     assert contents(Path(more.store)) == contents(Path(job.store))
     group = zarr.open_group(job.store, mode="r")
     assert not group["mask"][5].any() and np.isnan(group["phase_sigma"][5]).all()
@@ -474,10 +474,10 @@ def test_ctrl_c_keeps_what_is_done(job, undisturbed, monkeypatch):
 
     monkeypatch.setattr("pipeline.batch.worker._COMMIT_S", 0.0)
     with pytest.raises(Stopped, match=r"stopped: \d+ of 14 frames are done; the same command goes on"):
-        decode_footage(job, tell=stop)
+        decode_job(job, tell=stop)
     assert 2 <= len(marked(job.store)) < N_FRAMES
     assert not list(Path(job.store).rglob("*.part*"))
-    decode_footage(job)
+    decode_job(job)
     assert contents(Path(job.store)) == undisturbed
 
 
@@ -494,10 +494,10 @@ def test_a_full_disk(job, undisturbed, monkeypatch):
         patch.setattr("pipeline.batch.worker._COMMIT_S", 0.0)
         patch.setattr(os, "fsync", full)
         with pytest.raises(OutputError, match=r"cannot write .*: the disk is full: free some space"):
-            decode_footage(job)
+            decode_job(job)
     n_done = len(marked(job.store))
     assert 1 < n_done < N_FRAMES
-    assert decode_footage(job).n_before == n_done
+    assert decode_job(job).n_before == n_done
     assert contents(Path(job.store)) == undisturbed
 
 
@@ -507,7 +507,7 @@ def test_a_vanished_store(job):
             shutil.rmtree(job.store, ignore_errors=True)
 
     with pytest.raises(OutputError, match="has vanished"):
-        decode_footage(job, tell=remove)
+        decode_job(job, tell=remove)
 
 
 def test_frames_that_vanish_after_they_were_stored(job):
@@ -518,24 +518,24 @@ def test_frames_that_vanish_after_they_were_stored(job):
             (Path(job.store) / "done" / "c.3.0").unlink()
 
     with pytest.raises(OutputError, match="a frame has vanished after being stored: run again"):
-        decode_footage(job, tell=remove)
-    assert decode_footage(job).n_before == N_FRAMES - 1
+        decode_job(job, tell=remove)
+    assert decode_job(job).n_before == N_FRAMES - 1
 
 
 def test_a_store_behind_a_url(job, undisturbed):
     fsspec = import_but_fail_in_ci("fsspec")
     url = "memory://bucket/result.zarr"
-    decode_footage(replace(job, store=url), stop=7)
-    assert decode_footage(replace(job, store=url)).n_before == 7
+    decode_job(replace(job, store=url), stop=7)
+    assert decode_job(replace(job, store=url)).n_before == 7
     memory = fsspec.filesystem("memory")
-    decode_footage(job)
+    decode_job(job)
     for path in Path(job.store).rglob("*"):
         if path.is_file():
             assert memory.cat_file(f"/bucket/result.zarr/{path.relative_to(job.store)}") == path.read_bytes()
     with pytest.raises(OutputError, match=r"settings\.smoothing_px"):
-        decode_footage(replace(job, store=url, settings=DecodeSettings(smoothing_px=0)))
+        decode_job(replace(job, store=url, settings=DecodeSettings(smoothing_px=0)))
     with pytest.raises(OutputError, match="cannot write to nothing://"):
-        decode_footage(replace(job, store="nothing://bucket/result.zarr"))
+        decode_job(replace(job, store="nothing://bucket/result.zarr"))
 
 
 def test_a_region_of_interest_has_the_same_points(job, rig, folder):
@@ -546,7 +546,7 @@ def test_a_region_of_interest_has_the_same_points(job, rig, folder):
     np.testing.assert_allclose(rig.cropped(24, 12, (80, 64)).camera.rays(), whole, atol=1e-6)
     fields = ("mask", "points", "point_sigma")
     job = replace(job, calibration=rig, crop=region, fields=fields)
-    decode_footage(job, stop=1)
+    decode_job(job, stop=1)
     group = zarr.open_group(job.store, mode="r")
     image = zarr.open_group(folder / "film.zarr", mode="r")["frames"][0]
     frame = Decoder(calibration=rig, arch="cpu").decode(image)
@@ -565,8 +565,8 @@ def test_a_recording_of_a_part_of_the_sensor_is_decoded_by_the_calibration_of_al
         recorder.add(np.ascontiguousarray(frames[0][12:76, 24:104]))
     job = replace(job, calibration=rig.model_copy(update={"sensor": whole}), fields=("mask", "points", "point_sigma"))
     cut = replace(job, crop=Crop(24, 12, 80, 64), store=str(tmp_path / "cut.zarr"))
-    decode_footage(cut, stop=1)
-    decode_footage(replace(job, footage=str(tmp_path / "part.zarr")))
+    decode_job(cut, stop=1)
+    decode_job(replace(job, footage=str(tmp_path / "part.zarr")))
     cut, of_part = (zarr.open_group(store, mode="r")["points"][0] for store in (cut.store, job.store))
     assert np.isfinite(cut).mean() > 0.4
     np.testing.assert_array_equal(of_part, cut)
@@ -574,9 +574,9 @@ def test_a_recording_of_a_part_of_the_sensor_is_decoded_by_the_calibration_of_al
 
 def test_regions_of_interest_that_are_none(job, rig):
     with pytest.raises(SettingsError, match="sticks out of the 128x96 frame"):
-        decode_footage(replace(job, crop=Crop(100, 0, 64, 64)))
+        decode_job(replace(job, crop=Crop(100, 0, 64, 64)))
     with pytest.raises(CalibrationError, match="is 128x96 but the calibration is for 640x480"):
-        decode_footage(replace(job, calibration=simulated_rig((640, 480))))
+        decode_job(replace(job, calibration=simulated_rig((640, 480))))
 
 
 @pytest.mark.filterwarnings("ignore:the colours' fringes differ", "ignore:no matrix explains the colours")
@@ -602,7 +602,7 @@ def test_fetched_fields_need_no_device(arch, stripes, monkeypatch):
 
 def test_which_side_is_in_front_is_learnt_once_for_all_frames(job, folder, tmp_path):
     """Whatever process decodes whichever frame; and the store says whether it is a guess."""
-    decode_footage(job, stop=1)
+    decode_job(job, stop=1)
     stored = StoredResult(job.store)
     frames = zarr.open_group(folder / "film.zarr", mode="r")["frames"]
     decoder = Decoder(arch="cpu")
@@ -619,7 +619,7 @@ def test_which_side_is_in_front_is_learnt_once_for_all_frames(job, folder, tmp_p
         for number, image in enumerate(shown):
             write_png(pictures / f"{number}.png", image)
         told = replace(job, footage=str(pictures), store=str(tmp_path / f"{name}.zarr"), fields=("mask", "range_image"))
-        decode_footage(told)
+        decode_job(told)
         stored = StoredResult(told.store)
         assert stored.front_known == (name == "last")
         signs.append(stored.frame(0).range_image)
@@ -638,14 +638,14 @@ def test_the_light_survives_being_stored(folder, rig):
 def test_a_picture_does_not_replace_footage(job, tmp_path):
     from pipeline.output.folder import output_folder
 
-    decode_footage(job, stop=1)
+    decode_job(job, stop=1)
     with pytest.raises(OutputError, match="holds the frames of footage"):
         with output_folder(tmp_path, force=True):
             pass
 
 
 def test_a_store_says_nothing_of_times_or_hosts(job, tmp_path):
-    decode_footage(job, stop=1)
+    decode_job(job, stop=1)
     text = (Path(job.store) / "zarr.json").read_text()
     assert str(tmp_path) not in text and os.uname().nodename not in text
 
@@ -657,7 +657,7 @@ def test_a_transfer_against_the_files_is_told(job, tmp_path):
     for transfer, n_notes in (("linear", 1), ("srgb", 0), (None, 0)):
         settings = DecodeSettings(transfer=transfer, crosstalk_matrix=np.eye(3), code="none")
         each = replace(job, settings=settings, store=str(tmp_path / f"{transfer}.zarr"))
-        notes = decode_footage(each).notes
+        notes = decode_job(each).notes
         assert sum("decoded as linear, as you or the calibration say, not as srgb" in note for note in notes) == n_notes
 
 
@@ -669,7 +669,7 @@ def test_a_code_that_the_calibration_states_is_stored(tmp_path, job):
     calibration = rig.model_copy(update={"crosstalk_matrix": np.array(TYPICAL_CROSSTALK)})
     job = replace(job, footage=str(tmp_path / "film.zarr"), calibration=calibration)
     for before in (0, 1):
-        assert decode_footage(job).n_before == before
+        assert decode_job(job).n_before == before
         assert StoredResult(job.store).attributes["code"] == "contrast2"
 
 
@@ -682,7 +682,7 @@ def test_a_code_that_footage_shows_is_learnt_once_for_all_frames(tmp_path, job):
             recorder.add(image)
     job = replace(job, footage=str(tmp_path / "film.zarr"))
     stated = replace(job, settings=DecodeSettings(code="contrast"), store=str(tmp_path / "stated.zarr"))
-    notes = [decode_footage(each).notes for each in (job, stated)]
+    notes = [decode_job(each).notes for each in (job, stated)]
     assert [sum("shows a contrast code" in note for note in said) for said in notes] == [1, 0]
     shown, expected = StoredResult(job.store), StoredResult(stated.store)
     assert shown.attributes["code"] == expected.attributes["code"] == "contrast"

@@ -11,6 +11,7 @@ import pytest
 import hardware.errors
 import pipeline.errors
 import tikernels.errors
+from pipeline.batch.run import DecodeProgress
 from pipeline.cli import console
 from pipeline.cli.console import FrameRate
 from pipeline.errors import DecodeWarning, OutputError, SettingsError
@@ -219,7 +220,7 @@ def test_where_there_is_no_terminal_a_line_tells_now_and_then(monkeypatch, capsy
     assert told.startswith("meshing [red], after 0 s\n")
     with console.counted("decoding") as show:
         show(40, 100)
-        show.step("decoding to about 2.1 GB")
+        show.progress(DecodeProgress(doing="decoding to about 2.1 GB"))
         capsys.readouterr()
         while "\n" not in (told := capsys.readouterr().err):
             time.sleep(0.01)
@@ -255,7 +256,7 @@ def test_progress_on_a_terminal(monkeypatch):
         step("reading [red] film")
     assert "reading [red] film" in shown.getvalue()
     with console.counted("decoding") as show:
-        show.step("compiling kernels")
+        show.progress(DecodeProgress(doing="compiling kernels"))
         show(40, 50)
         show(50, 50)
     assert all(text in shown.getvalue() for text in ("decoding", "compiling kernels", "50/50"))

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.batch.job import with_transfer_of
 from pipeline.decoder import Decoder
+from pipeline.decoding.footage_light import with_transfer_of
 from pipeline.diagnosis import rig_check
 from pipeline.diagnosis.rig_check import check_picture, check_sequence, holds_captures
 from pipeline.diagnosis.ripple import Diagnosis
