@@ -131,8 +131,8 @@ class FrameFields(ABC):
     def to_xarray(self) -> "Dataset":
         """Return all fields as an `xarray.Dataset`, with the units and coordinates of a ``result.zarr``.
 
-        The number and the time of a frame of footage are coordinates, ``frame`` and ``time``, by which `xarray.concat`
-        joins frames: ``xarray.concat([frame.to_xarray() for frame in frames], "frame", coords="different")``.
+        A frame of footage has a first axis ``frame`` of length 1, with its number and its ``time`` as coordinates:
+        ``xarray.concat([frame.to_xarray() for frame in frames], "frame")`` joins frames.
 
         Raises
         ------

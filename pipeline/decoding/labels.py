@@ -161,14 +161,14 @@ class FrameLabels:
     """Whether that is since 1970, and not since the first frame."""
 
     def coordinates(self) -> dict[str, Any]:
-        """Return the frame's number and its time as coordinates without an axis, as far as they are known."""
-        found: dict[str, Any] = {}
-        if self.number is not None:
-            found["frame"] = ((), self.number, dict(_LABELS["frame"]))
+        """Return the frame's number and its time as coordinates along an axis of one frame, where it has a number."""
+        if self.number is None:
+            return {}
+        found: dict[str, Any] = {"frame": (("frame",), [self.number], dict(_LABELS["frame"]))}
         if self.time_s is not None and self.dated:
-            found["time"] = ((), np.datetime64(round(1e9 * self.time_s), "ns"), dict(_EXPOSED))
+            found["time"] = (("frame",), [np.datetime64(round(1e9 * self.time_s), "ns")], dict(_EXPOSED))
         elif self.time_s is not None:
-            found["time"] = ((), self.time_s, dict(_SINCE_FIRST))
+            found["time"] = (("frame",), [self.time_s], dict(_SINCE_FIRST))
         return found
 
 
@@ -185,7 +185,11 @@ def make_dataset(fields: dict[str, tuple[Field[Any], npt.NDArray[Any]]], labels:
     except ImportError:
         raise OutputError("xarray is not installed: pip install 'colorphase[xarray]'") from None
     unit = labels.range_unit
-    arrays = {name: (field.axes, values, field_labels(name, field, unit)) for name, (field, values) in fields.items()}
+    of_one = () if labels.number is None else ("frame",)
+    arrays = {
+        name: ((*of_one, *field.axes), values[None] if of_one else values, field_labels(name, field, unit))
+        for name, (field, values) in fields.items()
+    }
     axes = {axis for field, _ in fields.values() for axis in field.axes}
     height, width = next((values.shape[:2] for field, values in fields.values() if field.axes), (0, 0))
     known = {**axis_coordinates(axes, (width, height)), **labels.coordinates()}

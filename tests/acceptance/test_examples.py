@@ -58,6 +58,25 @@ def test_a_frame_becomes_a_mesh(tmp_path):
     assert (tmp_path / "mesh.ply").stat().st_size > 12 * points
 
 
+def test_a_folder_becomes_depth_over_time(tmp_path):
+    """A sheet that moves away by 2 mm a picture."""
+    said = printed("depth_over_time.py", tmp_path)
+    found = re.fullmatch(r"6 frames: from ([\d.]+) mm, ([\d.]+) mm farther from frame to frame\n", said)
+    assert found is not None, said
+    assert abs(float(found[1]) - 900) < 0.5 and abs(float(found[2]) - 2) < 0.02
+    assert cv2.imread(str(tmp_path / "depth.png")) is not None
+
+
+def test_open3d_cleans_a_frame(tmp_path):
+    """The ball's nearest point is 795.0 mm away, the plane of the wall 982.6 mm."""
+    open3d = import_but_fail_in_ci("open3d")
+    said = printed("open3d_cleaning.py", tmp_path)
+    found = re.search(r"the wall is ([\d.]+) mm away\nball\.ply: (\d+) points, the nearest at ([\d.]+) mm", said)
+    assert found is not None, said
+    assert abs(float(found[1]) - 982.6) < 1 and abs(float(found[3]) - 795.0) < 1.5
+    assert len(open3d.io.read_point_cloud(str(tmp_path / "ball.ply")).points) == int(found[2]) > 5000
+
+
 @pytest.mark.skipif(os.name == "nt", reason="the stand-in for gphoto2 is a shell script")
 def test_a_dslr_is_a_camera(tmp_path):
     """A stand-in for gphoto2 that notes how it is called, and sends a JPEG."""
