@@ -19,6 +19,17 @@ def open_instruments(settings: RigSettings) -> tuple[Trigger, Camera]:
         The settings contradict each other.
     TriggerError, CameraError
         One of them cannot be reached, or is another one.
+
+    Examples
+    --------
+    >>> timing = dict(period_s=0.02, frames=4, camera_delay_s=0.001)
+    >>> parts = dict(trigger=dict(driver="simulated"), camera=dict(driver="simulated", exposure_s=0.008))
+    >>> settings = colorphase.RigSettings(timing=timing, **parts)
+    >>> trigger, camera = colorphase.open_instruments(settings)
+    >>> camera.limits.size_px
+    (640, 480)
+    >>> camera.close(), trigger.close()
+    (None, None)
     """
     simulated = [part.driver == SIMULATED for part in (settings.trigger, settings.camera)]
     if all(simulated):

@@ -52,7 +52,18 @@ _LEAST_RUNNING_ON = 2
 
 @dataclass(frozen=True)
 class PairedFrame:
-    """A frame and the pulse that made it."""
+    """A frame and the pulse that made it.
+
+    Examples
+    --------
+    >>> timing = dict(period_s=0.02, frames=4, camera_delay_s=0.001)
+    >>> parts = dict(trigger=dict(driver="simulated"), camera=dict(driver="simulated", exposure_s=0.008))
+    >>> settings = colorphase.RigSettings(timing=timing, **parts)
+    >>> with colorphase.Rig(settings, lambda: colorphase.open_instruments(settings)) as rig:
+    ...     burst = next(rig.bursts())
+    >>> [f"{1000 * frame.pulse_s:.0f} ms" for frame in burst.frames]
+    ['1 ms', '21 ms', '41 ms', '61 ms']
+    """
 
     pulse: int  # from 0, in its burst
     image: Levels
@@ -64,7 +75,18 @@ class PairedFrame:
 
 @dataclass(frozen=True)
 class Burst:
-    """A run of pulses with a frame to every one of them."""
+    """A run of pulses with a frame to every one of them.
+
+    Examples
+    --------
+    >>> timing = dict(period_s=0.02, frames=4, camera_delay_s=0.001)
+    >>> parts = dict(trigger=dict(driver="simulated"), camera=dict(driver="simulated", exposure_s=0.008))
+    >>> settings = colorphase.RigSettings(timing=timing, **parts)
+    >>> with colorphase.Rig(settings, lambda: colorphase.open_instruments(settings)) as rig:
+    ...     burst = next(rig.bursts())
+    >>> [frame.pulse for frame in burst.frames]
+    [0, 1, 2, 3]
+    """
 
     number: int  # from 0; pulses that run on without a gap are of one burst
     frames: tuple[PairedFrame, ...]
@@ -119,6 +141,16 @@ class Rig:
         An instrument cannot be reached, or is another one.
     RigError
         What is asked for is impossible.
+
+    Examples
+    --------
+    >>> timing = dict(period_s=0.02, frames=4, camera_delay_s=0.001)
+    >>> parts = dict(trigger=dict(driver="simulated"), camera=dict(driver="simulated", exposure_s=0.008))
+    >>> settings = colorphase.RigSettings(timing=timing, **parts)
+    >>> with colorphase.Rig(settings, lambda: colorphase.open_instruments(settings)) as rig:
+    ...     burst = next(rig.bursts())
+    >>> len(burst.frames)
+    4
     """
 
     trigger: Trigger

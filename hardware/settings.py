@@ -161,7 +161,16 @@ class ProjectorSettings(_Section):
 
 
 class RigSettings(_Section):
-    """A rig."""
+    """A rig.
+
+    Examples
+    --------
+    >>> timing = dict(period_s=0.02, frames=4, camera_delay_s=0.001)
+    >>> parts = dict(trigger=dict(driver="simulated"), camera=dict(driver="simulated", exposure_s=0.008))
+    >>> settings = colorphase.RigSettings(timing=timing, **parts)
+    >>> f"{1000 * settings.camera.exposure_s:.0f} ms"
+    '8 ms'
+    """
 
     trigger: TriggerSettings
     timing: TimingSettings

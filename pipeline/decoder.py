@@ -104,6 +104,14 @@ class Decoder:
         The machine lacks the arch.
     SettingsError, CalibrationError
         Settings and calibration contradict each other.
+
+    Examples
+    --------
+    >>> rig = colorphase.simulated_rig((160, 120), period_px=64)
+    >>> sheet = colorphase.simulate_frame(rig, colorphase.SimulationSettings(scene="plane"))
+    >>> frame = colorphase.Decoder(calibration=rig, arch="cpu").decode(sheet.image)
+    >>> f"{np.nanmedian(frame.points[..., 2]):.0f} mm"
+    '900 mm'
     """
 
     def __init__(
@@ -263,8 +271,9 @@ class Decoder:
         CalibrationError
             The calibration is of other frames.
 
-        >>> import colorphase
-        >>> rig = colorphase.simulated_rig((160, 120))
+        Examples
+        --------
+        >>> rig = colorphase.simulated_rig((160, 120), period_px=64)
         >>> with colorphase.Recorder("film.zarr", colorphase.PixelFormat("rgb"), rate_hz=30) as film:
         ...     for seed in range(2):
         ...         simulation = colorphase.SimulationSettings(scene="plane", seed=seed)

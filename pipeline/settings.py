@@ -71,6 +71,11 @@ class DecodeSettings(Model):
     """How a frame is decoded; in TOML, what is left out is the default.
 
     Thresholds and noise are grey levels of the input, in linear light (a sRGB frame's after its transfer is undone).
+
+    Examples
+    --------
+    >>> colorphase.DecodeSettings(camera_period_px=12, smoothing_px=5).smoothing_px
+    5
     """
 
     model_config = ConfigDict(use_attribute_docstrings=True)

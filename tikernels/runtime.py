@@ -95,6 +95,13 @@ def init(arch: str = "auto", *, cpu_threads: int | None = None) -> str:
     ------
     DeviceNotReady
         The machine lacks the arch, or has not as many threads.
+
+    Examples
+    --------
+    >>> arch = colorphase.init("cpu")
+    >>> truth = colorphase.simulate_frame(colorphase.simulated_rig((160, 120)))
+    >>> f"{np.nanmedian(truth.points[..., 2]):.0f} mm, on the {arch}"
+    '977 mm, on the cpu'
     """
     global _started, _failed, _cuda
     check_open()
@@ -205,7 +212,13 @@ def kernel_language() -> str:
 
 
 def supported_archs() -> list[str]:
-    """Return the archs that this machine can start, without starting any."""
+    """Return the archs that this machine can start, without starting any.
+
+    Examples
+    --------
+    >>> len(colorphase.supported_archs()) >= 1, colorphase.supported_archs().count("cpu")
+    (True, 1)
+    """
     supported = []
     for arch in ARCHS:
         if arch == "vulkan":

@@ -93,6 +93,16 @@ def read_rig(path: str | Path) -> RigSettings:
     ------
     RigError
         It cannot be read, or a key is missing, unknown or wrong; the message names it.
+
+    Examples
+    --------
+    >>> timing = ["[timing]", "period_s = 0.02", "frames = 4", "camera_delay_s = 0.001"]
+    >>> parts = ["[trigger]", 'driver = "simulated"', "[camera]", 'driver = "simulated"', "exposure_s = 0.008"]
+    >>> with open("rig.toml", "w") as file:
+    ...     for line in timing + parts:
+    ...         print(line, file=file)
+    >>> f"{1 / colorphase.read_rig('rig.toml').timing.period_s:.0f} frames/s"
+    '50 frames/s'
     """
     settings = read_file(path, RigSettings, tomllib.loads, RigError)
     if settings.calibration is None:

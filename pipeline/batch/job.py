@@ -42,7 +42,14 @@ _UNKNOWN = bytes(16)
 
 @dataclass(frozen=True)
 class Crop:
-    """The part of every frame that is decoded, px: a region of interest."""
+    """The part of every frame that is decoded, px: a region of interest.
+
+    Examples
+    --------
+    >>> part = colorphase.Crop(x=64, y=48, width=320, height=240)
+    >>> part.width * part.height
+    76800
+    """
 
     x: int
     y: int

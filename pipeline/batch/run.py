@@ -38,7 +38,18 @@ _AS_IT_SAYS = StoredAs()
 
 @dataclass
 class DecodeSummary:
-    """What a run has done."""
+    """What a run has done.
+
+    Examples
+    --------
+    >>> rig = colorphase.simulated_rig((160, 120), period_px=64)
+    >>> with colorphase.Recorder("film.zarr", colorphase.PixelFormat("rgb"), rate_hz=30) as film:
+    ...     for seed in range(2):
+    ...         film.add(colorphase.simulate_frame(rig, colorphase.SimulationSettings(scene="plane", seed=seed)).image)
+    >>> summary = colorphase.decode_footage("film.zarr", "out", calibration=rig, arch="cpu", workers=1)
+    >>> summary.n_frames, summary.n_before, summary.unmeasured
+    (2, 0, [])
+    """
 
     n_frames: int  # asked for
     n_before: int  # of them were done already
@@ -55,7 +66,20 @@ class Stopped(KeyboardInterrupt):
 
 @dataclass(frozen=True)
 class DecodeProgress:
-    """How far a run has come, as its `progress` hears of each change."""
+    """How far a run has come, as its `progress` hears of each change.
+
+    Examples
+    --------
+    >>> rig = colorphase.simulated_rig((160, 120), period_px=64)
+    >>> with colorphase.Recorder("film.zarr", colorphase.PixelFormat("rgb"), rate_hz=30) as film:
+    ...     for seed in range(2):
+    ...         film.add(colorphase.simulate_frame(rig, colorphase.SimulationSettings(scene="plane", seed=seed)).image)
+    >>> heard = []
+    >>> how = dict(calibration=rig, arch="cpu", workers=1, progress=heard.append)
+    >>> _ = colorphase.decode_footage("film.zarr", "out", **how)
+    >>> heard[-1].done, heard[-1].of
+    (2, 2)
+    """
 
     done: int = 0
     """Frames, those included that an earlier run has decoded."""
@@ -132,6 +156,18 @@ def decode_footage(
     ------
     FootageError, OutputError, SettingsError, CalibrationError, ClusterError, DeviceNotReady
         See `colorphase decode`; what is done stays.
+
+    Examples
+    --------
+    >>> rig = colorphase.simulated_rig((160, 120), period_px=64)
+    >>> with colorphase.Recorder("film.zarr", colorphase.PixelFormat("rgb"), rate_hz=30) as film:
+    ...     for seed in range(2):
+    ...         film.add(colorphase.simulate_frame(rig, colorphase.SimulationSettings(scene="plane", seed=seed)).image)
+    >>> summary = colorphase.decode_footage("film.zarr", "out", calibration=rig, arch="cpu", workers=1)
+    >>> f"{summary.n_frames} frames, {len(summary.bad)} of them bad"
+    '2 frames, 0 of them bad'
+    >>> f"{np.nanmedian(colorphase.StoredResult('out/result.zarr')[1].points[..., 2]):.0f} mm"
+    '900 mm'
     """
     in_mm = calibration is not None and calibration.has_geometry
     job = Job(

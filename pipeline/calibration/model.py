@@ -216,6 +216,15 @@ class Calibration(Model):
 
     X_projector = rotation @ X_camera + translation_mm, both frames OpenCV's (x right, y down, z forward). Without a
     geometry, which is those five together, there are phases but no millimetres.
+
+    Examples
+    --------
+    >>> rig = colorphase.simulated_rig((160, 120), period_px=64)
+    >>> rig
+    <Calibration: camera 160x120 px, projector 1024x768 px, 180 mm apart, horizontal stripes of 64 px, code None>
+    >>> rig.write("calibration.json")
+    >>> f"{np.linalg.norm(colorphase.Calibration.read('calibration.json').translation_mm):.0f} mm apart"
+    '180 mm apart'
     """
 
     camera: Lens | None = None

@@ -36,6 +36,17 @@ class FrameFields(ABC):
         Whether the day is known.
     warnings : tuple of str
         What the user should know about this frame.
+
+    Examples
+    --------
+    >>> rig = colorphase.simulated_rig((160, 120), period_px=64)
+    >>> sheet = colorphase.simulate_frame(rig, colorphase.SimulationSettings(scene="plane"))
+    >>> frame = colorphase.Decoder(calibration=rig, arch="cpu").decode(sheet.image)
+    >>> sorted(frame.fields)[:3], frame.range_unit
+    (['absolute', 'constant_sigma', 'fringe_order'], 'mm')
+    >>> frame.save("face.ply")
+    >>> len(colorphase.read_mesh("face.ply").vertices)
+    19200
     """
 
     number: int | None

@@ -63,7 +63,15 @@ MAX_CONSTANT = 0.03
 
 
 class LightEstimate(Model):
-    """What a frame says about its rig's light; standard deviations come from leaving out groups of tiles in turn."""
+    """What a frame says about its rig's light; standard deviations come from leaving out groups of tiles in turn.
+
+    Examples
+    --------
+    >>> decoder = colorphase.Decoder(arch="cpu")
+    >>> frame = decoder.decode(colorphase.simulate_frame(colorphase.simulated_rig()).image)
+    >>> decoder.state.light
+    <LightEstimate: leaks of up to 17.0%, a ripple of 0.22 rad without it, reliable>
+    """
 
     crosstalk_matrix: Matrix3
     """(3, 3), rows sum to one: of all that fit, the one with the smallest leaks, none negative."""

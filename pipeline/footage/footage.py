@@ -64,6 +64,16 @@ class Footage(ABC):
         The part of the camera's sensor that frames are; None: the footage does not say.
     notes : tuple of str
         What was assumed because the container does not say it, a sentence each; for the user.
+
+    Examples
+    --------
+    >>> rig = colorphase.simulated_rig((160, 120), period_px=64)
+    >>> with colorphase.Recorder("film.zarr", colorphase.PixelFormat("rgb"), rate_hz=30) as film:
+    ...     for seed in range(2):
+    ...         film.add(colorphase.simulate_frame(rig, colorphase.SimulationSettings(scene="plane", seed=seed)).image)
+    >>> with colorphase.open_footage("film.zarr") as footage:
+    ...     footage.size_px, [image.shape for image in footage.images()]
+    ((160, 120), [(120, 160, 3), (120, 160, 3)])
     """
 
     name: str
@@ -143,7 +153,13 @@ class Footage(ABC):
 
 @dataclass(frozen=True)
 class StoredAs:
-    """What the user says of the pixels, see `PixelFormat`; None: what the footage says of itself."""
+    """What the user says of the pixels, see `PixelFormat`; None: what the footage says of itself.
+
+    Examples
+    --------
+    >>> colorphase.StoredAs(bayer="rggb", bits=12).bits
+    12
+    """
 
     bayer: Bayer | None = None
     """Which mosaic grey footage is."""

@@ -216,6 +216,14 @@ def read_image(path: str | Path) -> ImageArray:
     FootageError
         The file cannot be read, is truncated, is no image, or has no three colours, or these are HEIC's of half the
         resolution.
+
+    Examples
+    --------
+    >>> rig = colorphase.simulated_rig((160, 120), period_px=64)
+    >>> import cv2
+    >>> _ = cv2.imwrite("picture.png", colorphase.simulate_frame(rig).image[..., ::-1])
+    >>> colorphase.read_image("picture.png").shape
+    (120, 160, 3)
     """
     return read_turned(Path(path))[0]
 

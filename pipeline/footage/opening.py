@@ -46,6 +46,16 @@ def open_footage(
     ------
     FootageError
         There is no such footage, or it cannot be read.
+
+    Examples
+    --------
+    >>> rig = colorphase.simulated_rig((160, 120), period_px=64)
+    >>> with colorphase.Recorder("film.zarr", colorphase.PixelFormat("rgb"), rate_hz=30) as film:
+    ...     for seed in range(2):
+    ...         film.add(colorphase.simulate_frame(rig, colorphase.SimulationSettings(scene="plane", seed=seed)).image)
+    >>> with colorphase.open_footage("film.zarr") as footage:
+    ...     print(footage, f"{footage.times.seconds[1]:.3f} s")
+    <ZarrRecording film.zarr: 2 frames of 160x120 px> 0.033 s
     """
     says = StoredAs(bayer, bits, siting, matrix, full_range)
     path = Path(path)

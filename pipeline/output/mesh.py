@@ -68,6 +68,15 @@ class Mesh:
     ------
     ValueError
         If the arrays do not fit together, or a vertex is not finite.
+
+    Examples
+    --------
+    >>> rig = colorphase.simulated_rig((160, 120), period_px=64)
+    >>> sheet = colorphase.simulate_frame(rig, colorphase.SimulationSettings(scene="plane"))
+    >>> frame = colorphase.Decoder(calibration=rig, arch="cpu").decode(sheet.image)
+    >>> mesh = colorphase.frame_mesh(frame)
+    >>> f"{len(mesh.vertices)} vertices, {np.median(mesh.vertices[:, 2]):.0f} mm away"
+    '19200 vertices, 900 mm away'
     """
 
     vertices: npt.NDArray[np.float32]

@@ -51,6 +51,15 @@ def write_mesh(mesh: Mesh, path: str | Path) -> None:
     ------
     OutputError
         If the suffix is unknown, the file cannot be written, or the mesh is empty and the format glTF.
+
+    Examples
+    --------
+    >>> rig = colorphase.simulated_rig((160, 120), period_px=64)
+    >>> sheet = colorphase.simulate_frame(rig, colorphase.SimulationSettings(scene="plane"))
+    >>> frame = colorphase.Decoder(calibration=rig, arch="cpu").decode(sheet.image)
+    >>> colorphase.write_mesh(colorphase.frame_mesh(frame), "face.ply")
+    >>> f"{np.median(colorphase.read_mesh('face.ply').vertices[:, 2]):.0f} mm"
+    '900 mm'
     """
     path = Path(path)
     form = MESH_FORMATS.get(path.suffix.lower())
@@ -92,6 +101,17 @@ def read_mesh(
     ------
     FootageError
         If the file is missing, truncated, or holds nothing of the kind.
+
+    Examples
+    --------
+    >>> rig = colorphase.simulated_rig((160, 120), period_px=64)
+    >>> sheet = colorphase.simulate_frame(rig, colorphase.SimulationSettings(scene="plane"))
+    >>> frame = colorphase.Decoder(calibration=rig, arch="cpu").decode(sheet.image)
+    >>> colorphase.frame_mesh(frame).unit
+    'mm'
+    >>> frame.save("face.glb")
+    >>> f"{np.median(colorphase.read_mesh('face.glb').vertices[:, 2]):.0f} mm"  # the file has metres
+    '900 mm'
     """
     return read_placed(path, frame, axes, unit)[0]
 

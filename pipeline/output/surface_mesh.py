@@ -53,7 +53,17 @@ _WRONG = "order_error_probability"
 
 @dataclass(frozen=True)
 class MeshOptions:
-    """Options of a frame's mesh."""
+    """Options of a frame's mesh.
+
+    Examples
+    --------
+    >>> rig = colorphase.simulated_rig((160, 120), period_px=64)
+    >>> sheet = colorphase.simulate_frame(rig, colorphase.SimulationSettings(scene="plane"))
+    >>> frame = colorphase.Decoder(calibration=rig, arch="cpu").decode(sheet.image)
+    >>> near = colorphase.MeshOptions(crop_mm=(-50, -50, 800, 50, 50, 1000))
+    >>> f"{np.ptp(colorphase.frame_mesh(frame, near).vertices[:, 0]):.0f} mm wide"
+    '99 mm wide'
+    """
 
     smoothed: bool = True
     """Whether vertices move along their pixels' rays to the surface through their neighbours."""
@@ -112,6 +122,15 @@ def frame_mesh(frame: FrameFields, options: MeshOptions | None = None, fields: C
         A box or the background is to be left out without a calibration, or the box is none.
     FootageError
         What the mesh is made of is not stored, or damaged.
+
+    Examples
+    --------
+    >>> rig = colorphase.simulated_rig((160, 120), period_px=64)
+    >>> sheet = colorphase.simulate_frame(rig, colorphase.SimulationSettings(scene="plane"))
+    >>> frame = colorphase.Decoder(calibration=rig, arch="cpu").decode(sheet.image)
+    >>> mesh = colorphase.frame_mesh(frame, colorphase.MeshOptions(max_triangles=1000))
+    >>> len(mesh.faces), mesh.unit
+    (1000, 'mm')
     """
     return counted_mesh(frame, options, fields)[0]
 

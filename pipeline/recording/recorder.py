@@ -63,6 +63,15 @@ class Recorder:
         The name has another ending, or is taken.
     ShapeError
         Such frames, this transfer or this rate cannot be recorded.
+
+    Examples
+    --------
+    >>> rig = colorphase.simulated_rig((160, 120), period_px=64)
+    >>> with colorphase.Recorder("film.zarr", colorphase.PixelFormat("rgb"), rate_hz=30) as film:
+    ...     for seed in range(2):
+    ...         film.add(colorphase.simulate_frame(rig, colorphase.SimulationSettings(scene="plane", seed=seed)).image)
+    >>> len(colorphase.open_footage("film.zarr"))
+    2
     """
 
     def __init__(

@@ -67,6 +67,12 @@ class PixelFormat:
         How luma was made of R, G, B.
     full_range : bool
         Whether luma uses every level, or 16 to 235 of 255.
+
+    Examples
+    --------
+    >>> format = colorphase.PixelFormat("bayer", bits=12)
+    >>> format.plane_shapes(480, 640), format.white_level
+    (((480, 640),), 4095.0)
     """
 
     layout: Layout

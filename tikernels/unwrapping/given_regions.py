@@ -40,7 +40,19 @@ _SPAN_BITS = 16
 
 
 class UserUnwrapper(Protocol):
-    """What a user's own unwrapper must have."""
+    """What a user's own unwrapper must have.
+
+    Examples
+    --------
+    >>> class ByRows:
+    ...     def unwrap(self, phase, quality):
+    ...         return np.unwrap(phase, axis=0), np.isfinite(phase).astype(int)
+    >>> rig = colorphase.simulated_rig((160, 120), period_px=64)
+    >>> sheet = colorphase.simulate_frame(rig, colorphase.SimulationSettings(scene="plane"))
+    >>> frame = colorphase.Decoder(arch="cpu", unwrapper=ByRows()).decode(sheet.image)
+    >>> f"{np.ptp(frame.unwrapped_phase[20:100, 80]) / (2 * np.pi):.1f} cycles in 80 px"
+    '6.6 cycles in 80 px'
+    """
 
     def unwrap(
         self, phase: npt.NDArray[np.float32], quality: npt.NDArray[np.float32]
