@@ -166,7 +166,11 @@ class FrameLabels:
             return {}
         found: dict[str, Any] = {"frame": (("frame",), [self.number], dict(_LABELS["frame"]))}
         if self.time_s is not None and self.dated:
-            found["time"] = (("frame",), [np.datetime64(round(1e9 * self.time_s), "ns")], dict(_EXPOSED))
+            found["time"] = (
+                ("frame",),
+                [np.datetime64(round(1e6 * self.time_s), "us").astype("datetime64[ns]")],
+                dict(_EXPOSED),
+            )
         elif self.time_s is not None:
             found["time"] = (("frame",), [self.time_s], dict(_SINCE_FIRST))
         return found
