@@ -92,16 +92,13 @@ def _verify_result(location: str, tell: Tell) -> Verified:
 
 def _verify_recording(path: Path, tell: Tell) -> Verified:
     """Read every frame of a recording, or of other footage."""
-    source = open_footage(path)
     faults = {}
-    try:
+    with open_footage(path) as source:
         for frame in source.frames():
             if isinstance(frame, BadFrame):
                 faults[frame.number] = frame.reason
             tell(frame.number + 1, len(source))
         return Verified(str(path), len(source) - len(faults), faults, source.notes)
-    finally:
-        source.close()
 
 
 def _left(folder: Path) -> Iterator[str]:

@@ -264,16 +264,13 @@ def decode_job(
     ClusterError
         There is no cluster, or its workers or the processes here die.
     """
-    source = job.open()
-    try:
+    with job.open() as source:
         wanted = _wanted(source, start, stop, job.step)
         step("reading the footage")
         job = job.pinned(source)
         with _one_writer(job.store):
             telling = _Telling(tell, step, remark)
             return _decode_missing(job, source, wanted, telling, strict=strict, workers=workers, cluster=cluster)
-    finally:
-        source.close()
 
 
 @contextmanager

@@ -510,14 +510,11 @@ def inspect_footage(
     """
     says, settings = says or StoredAs(), settings or DecodeSettings()
     tell("opening")
-    source = open_footage(path, **vars(says))
-    try:
+    with open_footage(path, **vars(says)) as source:
         runtime.init(arch)
         facts = container_facts(Path(path), source)
         seen = gather_evidence(source, says, settings, arch, tell)
         scale = None if calibration is None else measure_scale(source, seen.settings, calibration, arch)
-    finally:
-        source.close()
     findings = [*container_findings(facts, source), *frame_findings(seen, facts, settings)]
     open_questions = []
     if facts.missing is None and len(source) > 1:

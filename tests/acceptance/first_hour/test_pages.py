@@ -84,7 +84,6 @@ ALLOWED = {"colorphase inspect": {0, 3}}
 #: What a page's Python takes for given.
 GIVEN = """
 import colorphase
-images = [colorphase.read_image("picture.png")] * 2
 """
 
 
