@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
-from hardware.errors import CameraError, ProjectorError, RigError, TriggerError
+from hardware.errors import RigError
+from tikernels.errors import Error
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,6 @@ PROJECTORS: Mapping[str, Driver] = {
     "pjlink": Driver("hardware.projector.pjlink:open_pjlink"),
     "infocus": Driver("hardware.projector.infocus:open_infocus"),
 }
-_OWN_ERRORS = (CameraError, ProjectorError, RigError, TriggerError)
 #: The driver of a trigger that is no instrument: this program tells the camera when to expose.
 SOFTWARE = "software"
 #: The driver of trigger and camera of a rig of which nothing is there.
@@ -78,7 +78,7 @@ def open_driver(key: str, name: str, table: Mapping[str, Driver], settings: obje
     try:
         instrument = driver(settings)
     except Exception as error:
-        if name in table or isinstance(error, _OWN_ERRORS):
+        if name in table or isinstance(error, Error):
             raise
         raise RigError(f"{key}: {place} cannot be opened ({_described(error)}): correct it") from error
     _refuse_lacking(key, place, instrument, members, protocol)

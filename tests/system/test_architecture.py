@@ -94,11 +94,22 @@ def test_two_files_take_the_kernel_language(package):
 
 @pytest.mark.parametrize(
     "package, allowed",
-    [("tikernels", {"tikernels"}), ("hardware", {"hardware"}), ("pipeline", {"tikernels", "hardware", "pipeline"})],
+    [
+        ("tikernels", {"tikernels"}),
+        ("hardware", {"hardware", "tikernels"}),
+        ("pipeline", {"tikernels", "hardware", "pipeline"}),
+    ],
 )
 def test_imports_run_one_way(package, allowed):
     for path in sources(package):
         assert imported(path) & {*PACKAGES, "tests"} <= allowed, path
+
+
+def test_the_rig_takes_errors_and_lazy_names_from_the_kernels_and_nothing_else():
+    ours = {name for path in sources("hardware") for name in imports(path) if name.split(".")[0] == "tikernels"}
+    assert ours == {"tikernels.errors", "tikernels.lazy_names"}
+    for name in ours:  # which import nothing of ours
+        assert not imported(ROOT / f"{name.replace('.', '/')}.py") & {*PACKAGES}
 
 
 @pytest.mark.parametrize("package", PACKAGES)
