@@ -4,10 +4,11 @@ import re
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, model_validator
+from pydantic import ConfigDict, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, model_validator
 from pydantic_core import core_schema
 
 from hardware.drivers import CAMERAS, PROJECTORS, SIMULATED, SOFTWARE, TRIGGERS
+from hardware.models import Model
 
 # An hour: longer than any trigger source waits, or camera exposes.
 _LONGEST_S = 3600.0
@@ -42,8 +43,8 @@ class _Driver:
         return driver
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
+class _Section(Model):
+    model_config = ConfigDict(use_attribute_docstrings=True)
 
 
 class TriggerSettings(_Section):

@@ -252,7 +252,7 @@ def solve_geometry(
     calibration = _calibration(fit, camera_size_px, projector_size_px, pattern, base, proof)
     # An earlier calibration's lateral colour goes with its lenses.
     shift = _color_shift(fit.poses, calibration.crosstalk_matrix)
-    calibration = calibration.model_copy(update={"color_shift_px": shift, "sensor": sensor})
+    calibration = calibration.replace(color_shift_px=shift, sensor=sensor)
     return GeometryFit(
         calibration=calibration,
         poses=tuple(pose.name for pose in fit.poses),

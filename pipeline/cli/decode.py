@@ -72,7 +72,7 @@ class SettingsOptions:
         given = {names.get(name, name): value for name, value in asdict(self).items() if value is not None}
         if not given:
             return settings
-        return DecodeSettings.of(**{**settings.model_dump(exclude_unset=True), **given})
+        return settings.replace(**given)
 
 
 @Parameter(name="*")
@@ -182,7 +182,7 @@ def _within(rig: Calibration | None, depth_range_mm: tuple[float, float] | None)
         raise SettingsError(
             f"--depth-range is {nearest:g} {farthest:g}: give the nearest and the farthest depth in mm, as 700 1100"
         )
-    return rig.model_copy(update={"depth_range_mm": depth_range_mm})
+    return rig.replace(depth_range_mm=depth_range_mm)
 
 
 def _decode_video(

@@ -24,7 +24,7 @@ FLOORS = {
         "diagnosis batch acquisition verification cli"
     ),
     "hardware": (
-        "errors drivers settings pulses protocols link display colour_cycle run_start pairing pulse_run "
+        "errors models drivers settings pulses protocols link display colour_cycle run_start pairing pulse_run "
         "alternating_pictures timing simulated camera trigger projector instruments rig"
     ),
 }
