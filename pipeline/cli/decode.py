@@ -33,7 +33,7 @@ from pipeline.footage.image_folder import is_footage
 from pipeline.footage.source import StoredAs
 from pipeline.models import CodeChoice
 from pipeline.output.folder import STORE, refuse_others
-from pipeline.output.formats.table import FORMATS, Kind
+from pipeline.output.formats.table import format_of
 from pipeline.output.report import depth_in_words
 from pipeline.output.store import chosen_fields
 from pipeline.output.stored_result import StoredResult, mesh_fields
@@ -97,7 +97,7 @@ class FootageOptions:
     """In how many processes to decode; left out, one for each core, or a single one with a GPU."""
     cluster: str | None = None
     """Decode on a Dask cluster: the scheduler's address, as tcp://10.0.0.1:8786."""
-    export: Kind | None = None
+    export: str | None = None
     """Write each frame in another format, too, as ply, glb or pcd, into the folder meshes."""
 
 
@@ -244,15 +244,16 @@ def _wanted_fields(names: tuple[str, ...] | None, *, in_mm: bool) -> tuple[str, 
     return None if names == ("all",) else names
 
 
-def _check_meshes(out: str, job: Job, kind: Kind, *, in_mm: bool) -> None:
+def _check_meshes(out: str, job: Job, kind: str, *, in_mm: bool) -> None:
     """Refuse files that could not be made, before footage is decoded for hours."""
     if "://" in out:
         raise SettingsError(f"meshes go into folders here: omit --export, and run colorphase export {job.store}")
     lacking = [name for name in mesh_fields(in_mm=in_mm) if name not in job.fields]
     if lacking:
         raise SettingsError(f"meshes are made of {' and '.join(lacking)}: add that to --fields")
-    if FORMATS[kind].encode_mesh is None and not in_mm:
-        raise SettingsError(f"{FORMATS[kind].meaning} is in mm: give a --calibration that holds the geometry")
+    form = format_of(kind)
+    if form.encode_mesh is None and not in_mm:
+        raise SettingsError(f"{form.meaning} is in mm: give a --calibration that holds the geometry")
 
 
 def _say_whether_relative(location: str) -> None:

@@ -24,7 +24,7 @@ FLOORS = {
         "diagnosis batch acquisition verification cli"
     ),
     "hardware": (
-        "errors models drivers settings pulses protocols link display colour_cycle run_start pairing pulse_run "
+        "errors models plugins drivers settings pulses protocols link display colour_cycle run_start pairing pulse_run "
         "alternating_pictures timing simulated camera trigger projector instruments rig"
     ),
 }
@@ -78,7 +78,7 @@ def named_in(path: Path) -> Iterator[str]:
             # imports drivers by the names in its table and in rig.toml, and the one that imports a package's names.
             if isinstance(node.args[0], ast.Constant):
                 yield node.args[0].value
-            elif path.name not in ("drivers.py", "lazy_names.py"):
+            elif path.name not in ("plugins.py", "lazy_names.py"):
                 yield "taichi"
 
 

@@ -10,9 +10,10 @@ import pytest
 
 from hardware import protocols
 from hardware.camera import open_camera
-from hardware.drivers import CAMERAS, PROJECTORS, TRIGGERS, load
+from hardware.drivers import CAMERAS, PROJECTORS, TRIGGERS
 from hardware.errors import CameraError, RigError
 from hardware.instruments import open_instruments
+from hardware.plugins import Plugin, load
 from hardware.projector import open_projector
 from hardware.rig import Rig
 from hardware.settings import CameraSettings, ProjectorSettings, RigSettings, TriggerSettings
@@ -83,8 +84,8 @@ def own(tmp_path, monkeypatch):
 @pytest.mark.parametrize("table", [CAMERAS, TRIGGERS, PROJECTORS], ids=["cameras", "triggers", "projectors"])
 def test_every_place_in_the_tables_is_there(table):
     for driver in table.values():
-        assert callable(load("driver", driver.place))
-        assert driver.listing is None or callable(load("driver", driver.listing))
+        assert callable(load("driver", Plugin(driver.place), RigError))
+        assert driver.listing is None or callable(load("driver", Plugin(driver.listing), RigError))
 
 
 def test_the_tables_are_read_without_loading_any_driver():
