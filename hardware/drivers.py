@@ -7,6 +7,7 @@ user's own needs no row: ``rig.toml`` names it as ``module:Class``, or as its pa
 points, which are the keys of `DRIVERS`.
 """
 
+import logging
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -14,6 +15,8 @@ from typing import Any
 from hardware.errors import RigError
 from hardware.plugins import Plugin, described, load, plugin_of
 from tikernels.errors import Error
+
+_log = logging.getLogger("colorphase.drivers")
 
 
 @dataclass(frozen=True)
@@ -91,6 +94,7 @@ def open_driver(key: str, name: str, group: str, settings: object, protocol: typ
             raise
         raise RigError(f"{key}: {place} cannot be opened ({described(error)}): correct it") from error
     _refuse_lacking(key, place, instrument, members, protocol)
+    _log.info("%s: %s opens %s", key, place, instrument.identity)
     return instrument
 
 

@@ -1,5 +1,10 @@
 """The base class of all errors, and what can go wrong in the kernels."""
 
+import logging
+
+# Loggers are silent until a program configures them; every module that logs imports this one, if not directly.
+logging.getLogger("colorphase").addHandler(logging.NullHandler())
+
 
 class Error(Exception):
     """Base class of every error of colorphase; its message is one line that says what to do."""
