@@ -32,6 +32,7 @@ from pipeline.models import (
     read_file,
 )
 from pipeline.showing import to_html
+from pipeline.text import sizes_differ
 from tikernels.depth.triangulation import ProjectorGeometry
 
 Vector9 = Annotated[FloatArray, ArrayOf((9,))]
@@ -197,9 +198,7 @@ class Geometry:
             ("another camera", True, "set the camera's resolution as at calibration, or calibrate it as it is now"),
         )  # fmt: skip
         key, cause = next((key, cause) for key, holds, cause in causes if holds)
-        raise CalibrationError(
-            Cause(key, "{} is {}x{} but the calibration is for {}x{}: {}".format(what, *here, *there, cause))
-        )
+        raise CalibrationError(Cause(key, f"{sizes_differ(what, here, 'the calibration is for', there)}: {cause}"))
 
     def working_distance_mm(self) -> float | None:
         """Return the depth at which the projector's axis comes closest to the camera's; None if they never meet.
@@ -298,11 +297,19 @@ class Calibration(Model):
         ----------
         x, y : int
             The part's first column and row in the whole frame.
-        size_px : (2,) int
-            Its width and height.
+        size_px : (width, height)
+            Its size.
+
+        Raises
+        ------
+        CalibrationError
+            It sticks out of the frame.
         """
         if self.camera is None:
             return self
+        if x < 0 or y < 0 or x + size_px[0] > self.camera.size_px[0] or y + size_px[1] > self.camera.size_px[1]:
+            part, whole = ("{}x{}".format(*px) for px in (size_px, self.camera.size_px))
+            raise CalibrationError(f"{part} px at {x},{y} stick out of the camera's {whole} (width x height)")
         # The lens stays: its distortion counts from the axis, which moves in the image.
         matrix = self.camera.matrix - [[0, 0, x], [0, 0, y], [0, 0, 0]]
         camera = self.camera.replace(size_px=size_px, matrix=matrix)
