@@ -64,7 +64,7 @@ if TYPE_CHECKING:
     from pipeline.recording import Recorder
     from pipeline.settings import DecodeSettings
     from pipeline.simulation import SimulatedFrame, SimulationSettings, simulate_frame, simulated_rig
-    from tikernels.errors import DeviceNotReady, ShapeError, SlowStart
+    from tikernels.errors import DeviceNotReady, Error, ShapeError, SlowStart
     from tikernels.raw.pixel_format import PixelFormat
     from tikernels.runtime import init, supported_archs
     from tikernels.unwrapping import UserUnwrapper
@@ -85,6 +85,7 @@ __all__ = [
     "DecodedFrame",
     "Decoder",
     "DeviceNotReady",
+    "Error",
     "Footage",
     "FootageError",
     "FrameFields",

@@ -3,15 +3,20 @@
 A new driver is a file of its own and a row here; the names that settings accept, opening, and the listing of cameras
 follow from the row. A place is ``module:name``, and names what is called with its section of the settings and returns
 the opened instrument: the class itself, or a function. It is imported when the instrument is opened. A driver of the
-user's own needs no row: ``rig.toml`` names it as ``module:Class``.
+user's own needs no row: ``rig.toml`` names it as ``module:Class``, or as its package announces it in a group of entry
+points, which are the keys of `DRIVERS`.
 """
 
+import logging
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from importlib import import_module
 from typing import Any
 
-from hardware.errors import CameraError, ProjectorError, RigError, TriggerError
+from hardware.errors import RigError
+from hardware.plugins import Plugin, described, load, plugin_of
+from tikernels.errors import Error
+
+_log = logging.getLogger("colorphase.drivers")
 
 
 @dataclass(frozen=True)
@@ -36,14 +41,18 @@ PROJECTORS: Mapping[str, Driver] = {
     "pjlink": Driver("hardware.projector.pjlink:open_pjlink"),
     "infocus": Driver("hardware.projector.infocus:open_infocus"),
 }
-_OWN_ERRORS = (CameraError, ProjectorError, RigError, TriggerError)
+DRIVERS: Mapping[str, Mapping[str, Driver]] = {
+    "colorphase.cameras": CAMERAS,
+    "colorphase.triggers": TRIGGERS,
+    "colorphase.projectors": PROJECTORS,
+}
 #: The driver of a trigger that is no instrument: this program tells the camera when to expose.
 SOFTWARE = "software"
 #: The driver of trigger and camera of a rig of which nothing is there.
 SIMULATED = "simulated"
 
 
-def open_driver(key: str, name: str, table: Mapping[str, Driver], settings: object, protocol: type) -> Any:
+def open_driver(key: str, name: str, group: str, settings: object, protocol: type) -> Any:
     """Open an instrument by its driver's name.
 
     Parameters
@@ -51,9 +60,9 @@ def open_driver(key: str, name: str, table: Mapping[str, Driver], settings: obje
     key : str
         Where the settings name it, as ``camera.driver``, for messages.
     name : str
-        A name in the table, or ``module:Class``.
-    table : mapping
-        `CAMERAS`, `TRIGGERS` or `PROJECTORS`.
+        A name in the group's table, one that a package announces, or ``module:Class``.
+    group : str
+        A key of `DRIVERS`.
     settings : object
         The section of the settings that the driver is called with.
     protocol : type
@@ -62,12 +71,15 @@ def open_driver(key: str, name: str, table: Mapping[str, Driver], settings: obje
     Raises
     ------
     RigError
-        There is no such module or class, it lacks what the protocol asks for, or, if it is the user's, fails.
+        There is no such module or class, several packages announce the name, it lacks what the protocol asks for,
+        or, if it is the user's, fails.
     TriggerError, CameraError, ProjectorError
         By the driver: the instrument cannot be reached, or is another one.
     """
-    place = table[name].place if name in table else name
-    driver = load(key, place)
+    table = DRIVERS[group]
+    own = Plugin(table[name].place if name in table else name)
+    place = plugin_of(group, name, table, RigError) or own
+    driver = load(key, place, RigError)
     members = {member: vars(protocol)[member] for member in vars(protocol) if not member.startswith("_")}
     if isinstance(driver, type):  # what a class lacks is told before anything is opened
         methods = [member for member, value in members.items() if callable(value)]
@@ -78,37 +90,15 @@ def open_driver(key: str, name: str, table: Mapping[str, Driver], settings: obje
     try:
         instrument = driver(settings)
     except Exception as error:
-        if name in table or isinstance(error, _OWN_ERRORS):
+        if name in table or isinstance(error, Error):
             raise
-        raise RigError(f"{key}: {place} cannot be opened ({_described(error)}): correct it") from error
+        raise RigError(f"{key}: {place} cannot be opened ({described(error)}): correct it") from error
     _refuse_lacking(key, place, instrument, members, protocol)
+    _log.info("%s: %s opens %s", key, place, instrument.identity)
     return instrument
 
 
-def load(key: str, place: str) -> Any:
-    """Import what a place ``module:name`` names.
-
-    Raises
-    ------
-    RigError
-        It cannot be imported, or has no such name.
-    """
-    module_name, _, name = place.partition(":")
-    try:
-        module = import_module(module_name)
-    except Exception as error:  # a user's module may raise anything
-        cure = "install it, or put its folder on PYTHONPATH" if isinstance(error, ModuleNotFoundError) else "correct it"
-        raise RigError(f"{key}: {module_name} cannot be imported ({_described(error)}): {cure}") from error
-    if not hasattr(module, name):
-        raise RigError(f"{key}: {module_name} ({getattr(module, '__file__', 'built in')}) has no {name}: correct it")
-    return getattr(module, name)
-
-
-def _described(error: Exception) -> str:
-    return f"{type(error).__name__}: {' '.join(str(error).split()) or 'it does not say why'}"
-
-
-def _refuse_lacking(key: str, place: str, what: object, members: Collection[str], protocol: type) -> None:
+def _refuse_lacking(key: str, place: Plugin, what: object, members: Collection[str], protocol: type) -> None:
     lacking = [member for member in members if not hasattr(what, member)]
     if lacking:
         raise RigError(

@@ -1,21 +1,23 @@
 """What can go wrong at the rig; each message is one line that says what to do."""
 
+from tikernels.errors import Error
 
-class TriggerError(ConnectionError):
+
+class TriggerError(Error, ConnectionError):
     """The trigger source cannot be reached, is another one, or refuses."""
 
 
-class CameraError(ConnectionError):
+class CameraError(Error, ConnectionError):
     """The camera cannot be reached, or refuses."""
 
 
-class ProjectorError(ConnectionError):
+class ProjectorError(Error, ConnectionError):
     """The projector, or the display that it is, cannot be reached, or refuses."""
 
 
-class BurstError(ConnectionError):
+class BurstError(Error, ConnectionError):
     """A burst could not be captured whole; the message names the pulse and the likely cable."""
 
 
-class RigError(ValueError):
+class RigError(Error, ValueError):
     """What the rig is asked for is impossible: its file is wrong, or its times contradict each other."""

@@ -1,6 +1,7 @@
 """The line to an instrument: a serial port of this machine, or one behind a network."""
 
 import errno
+import logging
 import os
 import time
 from collections.abc import Iterator
@@ -23,6 +24,7 @@ try:
 except ImportError:  # Windows has neither
     pass
 Refusals: tuple[type[Exception], ...] = (*Failures, ValueError, OverflowError)  # what a port that does not open raises
+_log = logging.getLogger("colorphase.link")
 
 #: pyserial's other handlers write files, take any port that matches, or speak to something else.
 SCHEMES = ("socket", "rfc2217", "loop")
@@ -83,6 +85,7 @@ class Link:
 
     def send(self, text: str) -> None:
         """Send a line; its terminator is added."""
+        _log.debug("%s <- %s", self.url, text)
         with self._told():
             self._port.write(text.encode("ascii") + self._terminator)
 
@@ -138,8 +141,10 @@ class Link:
             self._arrived = rest
             self._overlong = False
             if fits and text.isascii() and text.isprintable():
+                _log.debug("%s -> %s", self.url, text)
                 return text
             self.damaged += 1
+            _log.debug("%s -> a damaged line", self.url)
 
     def _read(self, wait: bool) -> bool:
         """Take what arrived; where nothing did, wait a little if allowed. Return whether there was anything."""

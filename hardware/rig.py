@@ -1,5 +1,6 @@
 """Arm, fire, pair every frame with its pulse: a burst is kept whole, or thrown away and repeated."""
 
+import logging
 import time
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
@@ -16,6 +17,8 @@ from hardware.pulses import PulseTrain
 from hardware.run_start import Lateness, Start, start_of
 from hardware.settings import RigSettings
 from hardware.timing import check_timing, train_of
+
+_log = logging.getLogger("colorphase.rig")
 
 #: How often a burst is tried before it is given up.
 TRIES = 3
@@ -192,6 +195,7 @@ class Rig:
             self._configured = None
             self.trigger.close()
             self.camera.close()
+            _log.info("trigger source and camera are closed")
 
     def bursts(self, *, endless: bool = False) -> Generator[Burst]:
         """Fire burst after burst, and yield each that is whole; one that is not is thrown away and fired again.
@@ -259,6 +263,7 @@ class Rig:
 
     def _reopen(self) -> None:
         deadline = time.monotonic() + _REOPEN_S
+        _log.warning("an instrument is lost; both are opened again")
         while not self._is_open:
             try:
                 self._open()
@@ -274,6 +279,7 @@ class Rig:
     def _configure(self, asked: PulseTrain) -> PulseTrain:
         if self._configured is None or self._configured[0] != asked:
             self._configured = asked, self.trigger.configure(asked)
+            _log.info("pulses are set: %s", self._configured[1])
         return self._configured[1]
 
     def _throw_away(self, number: int, attempt: int, error: Exception) -> None:
@@ -286,6 +292,7 @@ class Rig:
                 self._lost = error
             self.close()  # it may be lost: the next try opens it again, and sets it up anew
         self._stop()
+        _log.warning("burst %d is thrown away, try %d of %d: %s", number, attempt, TRIES, found[0])
         self._tell(Rejected(number, attempt, found))
         if attempt == TRIES:
             if isinstance(error, _Refused):

@@ -4,10 +4,13 @@ import re
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, model_validator
+from pydantic import ConfigDict, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, model_validator
 from pydantic_core import core_schema
 
-from hardware.drivers import CAMERAS, PROJECTORS, SIMULATED, SOFTWARE, TRIGGERS
+from hardware.drivers import DRIVERS, SIMULATED, SOFTWARE
+from hardware.errors import RigError
+from hardware.models import Model
+from hardware.plugins import announced, plugin_of
 
 # An hour: longer than any trigger source waits, or camera exposes.
 _LONGEST_S = 3600.0
@@ -24,34 +27,40 @@ _OWN_DRIVER = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*")  # module:Clas
 
 @dataclass(frozen=True)
 class _Driver:
-    """Annotate a text as the name of a driver: one of these, or ``module:Class``."""
+    """Annotate a text as the name of a driver: ours, one that a package announces, or ``module:Class``."""
 
-    names: tuple[str, ...]
+    group: str  # a key of `DRIVERS`
+    others: tuple[str, ...] = ()
+
+    def names(self) -> tuple[str, ...]:
+        """Return all names."""
+        return tuple(dict.fromkeys((*DRIVERS[self.group], *self.others, *announced(self.group))))
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
         return core_schema.no_info_after_validator_function(self.check, handler(source))
 
     def __get_pydantic_json_schema__(self, schema: Any, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        return {"enum": [*self.names, "module:Class"]}
+        return {"enum": [*self.names(), "module:Class"]}
 
     def check(self, driver: str) -> str:
-        """Refuse what no driver is called."""
-        if driver not in self.names and not _OWN_DRIVER.fullmatch(driver):
-            known = ", ".join(f'"{name}"' for name in self.names)
+        """Refuse what no driver is called, and what several are."""
+        plugin_of(self.group, driver, (*DRIVERS[self.group], *self.others), RigError)
+        if driver not in self.names() and not _OWN_DRIVER.fullmatch(driver):
+            known = ", ".join(f'"{name}"' for name in self.names())
             raise ValueError(f'must be {known} or your own driver as "module:Class", got {driver[:40]!r}')
         return driver
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
+class _Section(Model):
+    model_config = ConfigDict(use_attribute_docstrings=True)
 
 
 class TriggerSettings(_Section):
     """Where the pulses come from."""
 
-    driver: Annotated[str, _Driver((*TRIGGERS, SOFTWARE, SIMULATED))]
-    """A name in `hardware.drivers`, or a driver of the user's own as ``module:Class``. "software": this program
-    triggers the camera itself, some milliseconds late, and the projector not at all."""
+    driver: Annotated[str, _Driver("colorphase.triggers", (SOFTWARE, SIMULATED))]
+    """A name in `hardware.drivers`, one that an installed package announces, or ``module:Class``. "software": this
+    program triggers the camera itself, some milliseconds late, and the projector not at all."""
     port: str | None = None
     """A serial device, as /dev/ttyUSB0 or COM3, or a pyserial URL, as socket://10.0.0.5:5025."""
     baud: Count | None = None
@@ -87,8 +96,8 @@ class TimingSettings(_Section):
 class CameraSettings(_Section):
     """The camera and what is fixed in it."""
 
-    driver: Annotated[str, _Driver((*CAMERAS, SIMULATED))]
-    """A name in `hardware.drivers`, or a driver of the user's own as ``module:Class``."""
+    driver: Annotated[str, _Driver("colorphase.cameras", (SIMULATED,))]
+    """A name in `hardware.drivers`, one that an installed package announces, or ``module:Class``."""
     serial: Annotated[str | None, Field(coerce_numbers_to_str=True)] = None
     """Its serial number, or for opencv its number; None: the only one there. A simulated one may be
     a "webcam", or see a "ball"."""
@@ -141,8 +150,9 @@ class ProjectorSettings(_Section):
     """How long R, G and B take together, where the projector shows them one after another; None: it does not."""
     fields: FieldSettings | None = None
     """When each of them is on, as its data sheet says; None: not known."""
-    control: Annotated[str, _Driver(tuple(PROJECTORS))] | None = None
-    """What switches it on, a name in `hardware.drivers` or ``module:Class``; None: somebody does."""
+    control: Annotated[str, _Driver("colorphase.projectors")] | None = None
+    """What switches it on: a name in `hardware.drivers`, one that an installed package announces, or ``module:Class``;
+    None: somebody does."""
     port: str | None = None
     """A serial device, or a URL such as socket://10.0.0.6:4352."""
     baud: Count | None = None

@@ -167,8 +167,10 @@ class MemoryCamera:
     ----------
     expose : callable
         Return what it sees, at a time in s: the frame, which it does not write to again.
-    size_px, format
+    size_px : (width, height)
         Of these frames.
+    format : FrameFormat
+        Theirs.
     exposure_s, readout_s : float
         How long it cannot be triggered again; a pulse that comes before is lost unnoticed, as with real ones.
     strobe : callable
@@ -274,8 +276,10 @@ class SimulatedInstruments:
         ----------
         render : callable
             Return the frame under picture 0 or 1 at a time in s; nobody writes to it again.
-        size_px, format
+        size_px : (width, height)
             Of these frames.
+        format : FrameFormat
+            Theirs.
         settings : RigSettings
             The exposure, and which outputs of camera and projector are wired back.
         """

@@ -1,5 +1,6 @@
 """Turn one colour frame into phase, orders and points: `Decoder.decode` is the way of a frame, top to bottom."""
 
+import logging
 import warnings
 from collections.abc import Iterator
 from contextlib import nullcontext, suppress
@@ -66,6 +67,8 @@ from tikernels.raw.development import develop
 from tikernels.unwrapping import GivenRegions, UserUnwrapper
 from tikernels.unwrapping.rim_growing import doubt_rims, grow_rims
 from tikernels.unwrapping.rim_pixels import leave_out_strangers
+
+_log = logging.getLogger("colorphase.decoder")
 
 # While it is not clear which side is in front, this many frames are asked, and then one of as many: asking takes up to
 # a fourth of the time that decoding does.
@@ -569,5 +572,6 @@ class Decoder:
         # A few per cent of period change nothing; the buffers stay while it drifts.
         period_px = float(2 ** (np.round(8 * np.log2(period_px)) / 8))
         if self._workspace is None or not self._workspace.fits(frame.shape, period_px):
+            _log.info("buffers for %d rows and %d columns; kernels that are not on the disk are compiled", *frame.shape)
             self._workspace = Workspace(*frame.shape, period_px, self._setup.smoothing_pairs, self._given)
         return self._workspace

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
 from pipeline.errors import SettingsError
-from pipeline.models import ArrayOf, CameraState, CodeChoice, FloatArray, Matrix3, Model, build, read_file
+from pipeline.models import ArrayOf, CameraState, CodeChoice, FloatArray, Matrix3, Model, read_file
 from tikernels.errors import ShapeError
 from tikernels.phase.color_fields import ColorFields
 from tikernels.phase.crosstalk import invert_crosstalk
@@ -160,14 +160,3 @@ class DecodeSettings(Model):
             The file cannot be read, or a key is unknown or wrong; the message names it.
         """
         return read_file(path, cls, tomllib.loads, SettingsError)
-
-    @classmethod
-    def of(cls, **values: object) -> "DecodeSettings":
-        """Build settings from values; like the constructor, with a one-line error.
-
-        Raises
-        ------
-        SettingsError
-            A key is unknown or wrong; the message names it.
-        """
-        return build(cls, values, SettingsError, "settings")

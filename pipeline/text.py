@@ -1,4 +1,4 @@
-"""Text from outside (names of files and instruments, tags of footage, messages), before it is printed or written."""
+"""Text from outside (names of files and instruments, tags of footage, messages) when it is printed; sizes in words."""
 
 import re
 
@@ -18,3 +18,13 @@ def one_line(text: str) -> str:
     """
     whole = text.encode("utf-8", "replace").decode()
     return _CONTROLS.sub(lambda control: " " if control[0].isspace() else "", whole)
+
+
+def sizes_differ(what: str, size_px: tuple[int, ...], other: str, other_px: tuple[int, ...]) -> str:
+    """Return the begin of a message about two sizes (width, height) in px that should be the same.
+
+    >>> sizes_differ("frame", (480, 640), "the calibration is for", (640, 480))
+    'frame is 480x640 but the calibration is for 640x480 (width x height, which are swapped)'
+    """
+    swapped = " (width x height, which are swapped)" if size_px == other_px[::-1] else ""
+    return "{} is {}x{} but {} {}x{}{}".format(what, *size_px, other, *other_px, swapped)

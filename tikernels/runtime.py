@@ -4,6 +4,7 @@ import atexit
 import contextlib
 import ctypes
 import functools
+import logging
 import math
 import os
 import sys
@@ -23,6 +24,8 @@ from tikernels.errors import DeviceNotReady, SlowStart
 from tikernels.lanes import VECTOR_BYTES
 from tikernels.launching import check_open, close, forget
 from tikernels.traffic import traffic
+
+_log = logging.getLogger("colorphase.runtime")
 
 #: Every arch by name, in the order in which "auto" prefers them.
 ARCHS = ("cuda", "metal", "vulkan", "cpu")
@@ -127,6 +130,7 @@ def init(arch: str = "auto", *, cpu_threads: int | None = None) -> str:
             traffic.on_device = candidate != "cpu"
             traffic.clear()
             _warn_of_slow_starts()
+            _log.info("kernels run on %s, compiled by %s", candidate, language)
             return candidate
         _started = None  # a failed start has already ended what ran before
         reasons.append(reason)

@@ -13,7 +13,7 @@ import colorphase
 def main() -> None:
     """Decode a frame, write `mesh.ply` into the current folder and say what is in it."""
     rig, scene = colorphase.simulated_rig(), colorphase.SimulationSettings(scene="ball")
-    calibration = rig.model_copy(update={"crosstalk_matrix": scene.crosstalk_matrix})
+    calibration = rig.replace(crosstalk_matrix=scene.crosstalk_matrix)
     decoder = colorphase.Decoder(colorphase.DecodeSettings(), calibration, arch="cpu")
     frame = decoder.decode(colorphase.simulate_frame(rig, scene).image)
     mesh = colorphase.frame_mesh(frame)

@@ -5,8 +5,9 @@ from queue import Empty, Queue
 from threading import Thread
 from time import monotonic
 
-from hardware.drivers import CAMERAS, SIMULATED, load, open_driver
+from hardware.drivers import CAMERAS, SIMULATED, open_driver
 from hardware.errors import CameraError, RigError
+from hardware.plugins import Plugin, load
 from hardware.protocols import Camera, Identity
 from hardware.settings import CameraSettings
 
@@ -43,7 +44,7 @@ def open_camera(settings: CameraSettings) -> Camera:
     """
     if settings.driver == SIMULATED:
         raise RigError("camera.driver: a file's rig is real; without one, use `colorphase capture --rig simulated`")
-    camera: Camera = open_driver("camera.driver", settings.driver, CAMERAS, settings, Camera)
+    camera: Camera = open_driver("camera.driver", settings.driver, "colorphase.cameras", settings, Camera)
     return camera
 
 
@@ -68,7 +69,7 @@ def list_cameras() -> list[CameraListing]:
 
 def _look(name: str, place: str, answers: Queue[tuple[str, list[CameraListing]]]) -> None:
     try:
-        identities: list[Identity] = load("camera.driver", place)()
+        identities: list[Identity] = load("camera.driver", Plugin(place), RigError)()
         answers.put((name, [CameraListing(name, identity) for identity in identities]))
     except CameraError as error:
         answers.put((name, [CameraListing(name, note=str(error))]))

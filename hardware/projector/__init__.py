@@ -1,6 +1,6 @@
 """Projectors that can be switched from here."""
 
-from hardware.drivers import PROJECTORS, open_driver
+from hardware.drivers import open_driver
 from hardware.errors import RigError
 from hardware.protocols import Projector
 from hardware.settings import ProjectorSettings
@@ -20,5 +20,7 @@ def open_projector(settings: ProjectorSettings) -> Projector:
     """
     if settings.control is None:
         raise RigError('nothing switches this projector: write control = "pjlink" or "infocus" under [projector]')
-    projector: Projector = open_driver("projector.control", settings.control, PROJECTORS, settings, Projector)
+    projector: Projector = open_driver(
+        "projector.control", settings.control, "colorphase.projectors", settings, Projector
+    )
     return projector

@@ -6,6 +6,7 @@ JBMIA, PJLink Specifications, version 1.04 (2013).
 """
 
 import hashlib
+import logging
 import re
 import socket
 import time
@@ -17,6 +18,8 @@ from hardware.errors import ProjectorError
 from hardware.projector.switching import port_of, switch_power
 from hardware.protocols import Identity, PowerState, ProjectorStatus
 from hardware.settings import ProjectorSettings
+
+_log = logging.getLogger("colorphase.link")
 
 #: The standard leaves a projector two seconds; some take longer while they warm up.
 ANSWER_S = 5.0
@@ -204,6 +207,7 @@ class _Session:
             self._socket.sendall(f"{self._prefix}%1{command} {parameter}\r".encode("ascii"))
         except OSError:
             raise self._gone() from None
+        _log.debug("%s <- %s %s", self._url, command, parameter)  # without the prefix, a digest of the password
         self._prefix = ""
         header = f"%1{command}="
         deadline_s = time.monotonic() + ANSWER_S
@@ -212,6 +216,7 @@ class _Session:
             if not line.upper().startswith(header):
                 continue  # an answer that comes too late
             answer = line[len(header) :]
+            _log.debug("%s -> %s", self._url, answer)
             if re.fullmatch("ERR[1-4]", answer.upper()):
                 raise _RefusedError(answer[-1], f"{command} {parameter}")
             return answer

@@ -1,6 +1,6 @@
 """Where pulses come from: one file an instrument, each with the methods of `hardware.protocols.Trigger`."""
 
-from hardware.drivers import SIMULATED, SOFTWARE, TRIGGERS, open_driver
+from hardware.drivers import SIMULATED, SOFTWARE, open_driver
 from hardware.errors import RigError
 from hardware.protocols import Trigger
 from hardware.settings import TriggerSettings
@@ -22,5 +22,5 @@ def open_trigger(settings: TriggerSettings) -> Trigger:
         raise RigError("trigger.driver: a file's rig is real; without one, use `colorphase capture --rig simulated`")
     if settings.driver == SOFTWARE:
         raise RigError(f"trigger.driver: {settings.driver} is no instrument with a port")
-    trigger: Trigger = open_driver("trigger.driver", settings.driver, TRIGGERS, settings, Trigger)
+    trigger: Trigger = open_driver("trigger.driver", settings.driver, "colorphase.triggers", settings, Trigger)
     return trigger

@@ -393,7 +393,7 @@ def _decode_settings(rig: RigSettings, period_s: float) -> DecodeSettings:
         if fields is not None:
             shown_s = (fields.red_s, fields.green_s, fields.blue_s)
             values["fields"] |= {"shown_s": shown_s, "locked": fields.locked}
-    return DecodeSettings.of(**values)
+    return DecodeSettings(**values)
 
 
 def end_log(path: Path, n_frames: int) -> None:

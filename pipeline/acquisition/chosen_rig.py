@@ -107,7 +107,7 @@ def read_rig(path: str | Path) -> RigSettings:
     settings = read_file(path, RigSettings, tomllib.loads, RigError)
     if settings.calibration is None:
         return settings
-    return settings.model_copy(update={"calibration": str(Path(path).parent / settings.calibration)})
+    return settings.replace(calibration=str(Path(path).parent / settings.calibration))
 
 
 def choose_rig(rig: str, arch: str, tell: Callable[[str], None]) -> ChosenRig:
@@ -142,8 +142,8 @@ def choose_rig(rig: str, arch: str, tell: Callable[[str], None]) -> ChosenRig:
     calibration = Calibration.read(settings.calibration) if there and settings.calibration else None
     if calibration is not None and calibration.response is not None and settings.projector.display is not None:
         # The response is undone in what this program shows.
-        shown = choose_pattern(calibration, None, None).model_copy(update={"compensated": True})
-        calibration = calibration.model_copy(update={"pattern": shown})
+        shown = choose_pattern(calibration, None, None).replace(compensated=True)
+        calibration = calibration.replace(pattern=shown)
     check_projector(settings, rig)
     return ChosenRig(settings, partial(open_instruments, settings), calibration)
 

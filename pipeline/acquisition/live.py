@@ -82,8 +82,8 @@ class LiveDecoder:
         The rig.
     format : PixelFormat
         How frames come: RGB in one (H, W, 3) plane, or a Bayer mosaic.
-    size_px : (int, int)
-        Width and height of every frame.
+    size_px : (width, height)
+        Of every frame.
     preview : Path, optional
         A PNG of the range image, written anew a few times a second.
     arch : {"auto", "cpu", "vulkan", "cuda", "metal"}

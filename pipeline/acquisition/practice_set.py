@@ -106,8 +106,8 @@ def write_practice(folder: Path, arch: str, tell: Callable[[str], None]) -> Cali
 def practice_rig() -> Calibration:
     """Return the rig to practise on, its light included: an ordinary, imperfect one."""
     response = np.tile(np.linspace(0, 1, 256) ** _GAMMA, (3, 1))
-    light = {"crosstalk_matrix": np.array(TYPICAL_CROSSTALK), "response": response}
-    return simulated_truth().cropped(*_CORNER_PX, _SIZE_PX).model_copy(update=light)
+    rig = simulated_truth().cropped(*_CORNER_PX, _SIZE_PX)
+    return rig.replace(crosstalk_matrix=TYPICAL_CROSSTALK, response=response)
 
 
 def practice_poses(board: Board, count: int, seed: int) -> Iterator[BoardCaptures]:

@@ -233,7 +233,7 @@ def simulated_instruments(
     else:
         calibration = own_calibration()
         if webcam:
-            calibration = calibration.model_copy(update={"capture": CameraState(transfer="srgb")})
+            calibration = calibration.replace(capture=CameraState(transfer="srgb"))
     is_ball = wiring.camera.serial == BALL
     code = choose_pattern(calibration, None, None).code
     task = SceneTask(arch, 2, "ball", code) if is_ball else SceneTask(arch, _PLACES, "portrait", code)

@@ -320,7 +320,7 @@ class SimulatedStudio:
         rig = self._truth
         if zoom != 1 and rig.camera is not None:
             matrix = rig.camera.matrix * np.array([[zoom, 1, 1], [1, zoom, 1], [1, 1, 1]])
-            rig = rig.model_copy(update={"camera": rig.camera.model_copy(update={"matrix": matrix})})
+            rig = rig.replace(camera=rig.camera.replace(matrix=matrix))
         turn, place = np.array(stands[:3]), np.array(stands[3:])
         if isinstance(self._held, BallBar):
             return BarView(rig, self._held, turn, place, self._path, samples)

@@ -118,9 +118,9 @@ class RigStudio:
         tell: Callable[[str], None],
     ) -> None:
         self._picture, self._tell = picture, tell
-        timing = settings.timing.model_copy(update={"frames": FRAMES})
-        projector = settings.projector.model_copy(update={"alternating": False})
-        self._settings = settings.model_copy(update={"timing": timing, "projector": projector})
+        timing = settings.timing.replace(frames=FRAMES)
+        projector = settings.projector.replace(alternating=False)
+        self._settings = settings.replace(timing=timing, projector=projector)
         self._open_instruments = open_instruments
         self._display = Display(settings.projector.display)
         try:
@@ -175,9 +175,9 @@ class RigStudio:
         Drivers set a camera up when they open it, so it is opened again. Exposures off the colour cycle are allowed
         here, because the cycle is found by them.
         """
-        camera = self._settings.camera.model_copy(update={"exposure_s": exposure_s, "gain_db": gain_db})
-        projector = self._settings.projector.model_copy(update={"colour_cycle_s": None})
-        self._settings = self._settings.model_copy(update={"camera": camera, "projector": projector})
+        camera = self._settings.camera.replace(exposure_s=exposure_s, gain_db=gain_db)
+        projector = self._settings.projector.replace(colour_cycle_s=None)
+        self._settings = self._settings.replace(camera=camera, projector=projector)
         self._rig.close()
         self._open()
         return self._rig.camera.exposure_s

@@ -1,5 +1,6 @@
 """Decode footage into a store: what is missing of it, here or on a cluster."""
 
+import logging
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -34,6 +35,7 @@ from pipeline.settings import DecodeSettings
 from tikernels import runtime
 
 _AS_IT_SAYS = StoredAs()
+_log = logging.getLogger("colorphase.batch")
 
 
 @dataclass
@@ -313,6 +315,7 @@ def _decode_missing(
     def note(report: Outcome) -> None:
         nonlocal done
         if isinstance(report, BadFrame):
+            _log.warning("frame %d of %s is bad: %s", report.number, source.name, report.reason)
             if strict:
                 raise FootageError(f"frame {report.number} of {source.name}: {report.reason}")
             summary.bad.append(report)
@@ -325,6 +328,9 @@ def _decode_missing(
         done += 1
         telling.tell(done, summary.n_frames)
 
+    for number, fault in damaged.items():
+        _log.warning("frame %d of %s is decoded again: %s", number, job.store, fault)
+    _log.info("decoding %d of %d frames of %s into %s", len(missing), len(wanted), source.name, job.store)
     telling.tell(done, summary.n_frames)
     todo: list[Chain] = list(chains(wanted, missing))
     try:
@@ -340,6 +346,7 @@ def _decode_missing(
     summary.unmeasured = store.unmeasured(set(wanted) & store.done())
     summary.bad.sort(key=lambda frame: frame.number)  # workers finish in any order
     summary.warned = dict(sorted(summary.warned.items()))
+    _log.info("%d of %d frames are in %s", summary.n_frames - len(summary.bad), summary.n_frames, job.store)
     return summary
 
 

@@ -31,6 +31,8 @@ _PART_SCALES = (2**10 - 1, 2**12 - 1, 2**14 - 1)
 class PictureSequence(Model):
     """The pictures that are projected, in order; ``sequence.json``."""
 
+    error_type = CalibrationError
+
     kind: Literal["radiometry", "geometry", "chart"]
     size_px: tuple[int, int]  # the projector's width and height
     names: tuple[str, ...]  # of the files, without suffix, in the order of projection

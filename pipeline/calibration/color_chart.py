@@ -59,7 +59,7 @@ class ChartLight:
 
     def add_to(self, calibration: Calibration) -> Calibration:
         """Return the calibration with these wavelengths."""
-        return calibration.model_copy(update={"wavelengths_nm": self.wavelengths_nm})
+        return calibration.replace(wavelengths_nm=self.wavelengths_nm)
 
 
 def chart_sequence(size_px: tuple[int, int]) -> PictureSequence:

@@ -46,6 +46,8 @@ _CLOSE_PX = 1e-3
 class Lens(Model):
     """A pinhole with distortion, for the camera as for the projector (OpenCV's model)."""
 
+    error_type = CalibrationError
+
     size_px: tuple[_Side, _Side]  # width, height
     matrix: Matrix3  # px
     distortion: Distortion = Field(default_factory=lambda: np.zeros(5))  # OpenCV's order: k1 k2 p1 p2 k3 [...]

@@ -32,6 +32,7 @@ from pipeline.models import (
     read_file,
 )
 from pipeline.showing import to_html
+from pipeline.text import sizes_differ
 from tikernels.depth.triangulation import ProjectorGeometry
 
 Vector9 = Annotated[FloatArray, ArrayOf((9,))]
@@ -67,6 +68,8 @@ def _known_version(value: Any) -> Any:
 class Pattern(Model):
     """The pattern that the projector shows."""
 
+    error_type = CalibrationError
+
     period_px: Annotated[float, Field(ge=4, le=LARGEST)]  # projector px per cycle
     stripes: Literal["horizontal", "vertical"] = "horizontal"
     #: By what a place's cycle is told: "contrast": each cycle's modulation; "contrast2": that of its cells.
@@ -87,12 +90,16 @@ class Pattern(Model):
 class ColorShift(Model):
     """Lateral colour: where R, G and B land, each (x, y) in px from where the lens matrix says."""
 
+    error_type = CalibrationError
+
     camera: Shift
     projector: Shift
 
 
 class Uncertainty(Model):
     """Standard deviations of what a calibration holds, under the same names."""
+
+    error_type = CalibrationError
 
     crosstalk_matrix: Matrix3 | None = None
     response: Response | None = None
@@ -191,9 +198,7 @@ class Geometry:
             ("another camera", True, "set the camera's resolution as at calibration, or calibrate it as it is now"),
         )  # fmt: skip
         key, cause = next((key, cause) for key, holds, cause in causes if holds)
-        raise CalibrationError(
-            Cause(key, "{} is {}x{} but the calibration is for {}x{}: {}".format(what, *here, *there, cause))
-        )
+        raise CalibrationError(Cause(key, f"{sizes_differ(what, here, 'the calibration is for', there)}: {cause}"))
 
     def working_distance_mm(self) -> float | None:
         """Return the depth at which the projector's axis comes closest to the camera's; None if they never meet.
@@ -226,6 +231,8 @@ class Calibration(Model):
     >>> f"{np.linalg.norm(colorphase.Calibration.read('calibration.json').translation_mm):.0f} mm apart"
     '180 mm apart'
     """
+
+    error_type = CalibrationError
 
     camera: Lens | None = None
     projector: Lens | None = None
@@ -299,19 +306,27 @@ class Calibration(Model):
         ----------
         x, y : int
             The part's first column and row in the whole frame.
-        size_px : (2,) int
-            Its width and height.
+        size_px : (width, height)
+            Its size.
+
+        Raises
+        ------
+        CalibrationError
+            It sticks out of the frame.
         """
         if self.camera is None:
             return self
+        if x < 0 or y < 0 or x + size_px[0] > self.camera.size_px[0] or y + size_px[1] > self.camera.size_px[1]:
+            part, whole = ("{}x{}".format(*px) for px in (size_px, self.camera.size_px))
+            raise CalibrationError(f"{part} px at {x},{y} stick out of the camera's {whole} (width x height)")
         # The lens stays: its distortion counts from the axis, which moves in the image.
         matrix = self.camera.matrix - [[0, 0, x], [0, 0, y], [0, 0, 0]]
-        camera = self.camera.model_copy(update={"size_px": size_px, "matrix": matrix})
+        camera = self.camera.replace(size_px=size_px, matrix=matrix)
         sensor = self.sensor
         if sensor is not None:
             (left, above), (across, down) = sensor.offset_px, sensor.binning
-            sensor = sensor.model_copy(update={"offset_px": (left + across * x, above + down * y)})
-        return self.model_copy(update={"camera": camera, "sensor": sensor})
+            sensor = sensor.replace(offset_px=(left + across * x, above + down * y))
+        return self.replace(camera=camera, sensor=sensor)
 
     def binned(self, across: int, down: int) -> "Calibration":
         """Return the calibration of the same rig whose camera joins so many columns and rows to one.
@@ -325,18 +340,17 @@ class Calibration(Model):
         matrix[[0, 1], [0, 1]] /= factor
         matrix[:2, 2] = (matrix[:2, 2] + 0.5) / factor - 0.5  # 0 is the middle of the first pixel
         width, height = self.camera.size_px
-        lens = {**self.camera.model_dump(), "size_px": (width // across, height // down), "matrix": matrix}
+        camera = self.camera.replace(size_px=(width // across, height // down), matrix=matrix)
         shift = self.color_shift_px
         if shift is not None:
-            shift = shift.model_copy(update={"camera": shift.camera / factor})
+            shift = shift.replace(camera=shift.camera / factor)
         uncertainty = self.uncertainty
         if uncertainty is not None:  # without what is in px of the whole frame
-            uncertainty = uncertainty.model_copy(update={"camera": None, "reprojection_px": None})
+            uncertainty = uncertainty.replace(camera=None, reprojection_px=None)
         sensor = self.sensor
         if sensor is not None:
-            sensor = sensor.model_copy(update={"binning": (across * sensor.binning[0], down * sensor.binning[1])})
-        changed = {"color_shift_px": shift, "uncertainty": uncertainty, "sensor": sensor}
-        return self.model_copy(update={"camera": Lens.model_validate(lens), **changed})
+            sensor = sensor.replace(binning=(across * sensor.binning[0], down * sensor.binning[1]))
+        return self.replace(camera=camera, color_shift_px=shift, uncertainty=uncertainty, sensor=sensor)
 
     def as_read_out(self, size_px: tuple[int, int], sensor: SensorPart | None, what: str = "frame") -> "Calibration":
         """Return the calibration of the same rig for frames of its camera, which may be cropped or binned since.
@@ -408,7 +422,7 @@ class Calibration(Model):
         code: CodeChoice | None = None,
     ) -> "Calibration":
         """Return the calibration of the same rig under the pattern of `choose_pattern`."""
-        return self.model_copy(update={"pattern": choose_pattern(self, period_px, stripes, code)})
+        return self.replace(pattern=choose_pattern(self, period_px, stripes, code))
 
     def responses(self) -> list[FloatArray]:
         """Return the light of the pattern's codes, (3, N) in 0..1; two where nobody knows whether it is undone."""

@@ -23,6 +23,7 @@ from pipeline.calibration.verdict import GeometryVerdict, corners_off, depth_bia
 from pipeline.causes import Cause
 from pipeline.errors import CalibrationError
 from pipeline.models import FloatArray, SensorPart
+from pipeline.text import sizes_differ
 
 # A measured baseline that differs from the user's by a greater part shows a wrong square size: by hand, from lens to
 # lens, it is known to some millimetres in two hundred.
@@ -252,7 +253,7 @@ def solve_geometry(
     calibration = _calibration(fit, camera_size_px, projector_size_px, pattern, base, proof)
     # An earlier calibration's lateral colour goes with its lenses.
     shift = _color_shift(fit.poses, calibration.crosstalk_matrix)
-    calibration = calibration.model_copy(update={"color_shift_px": shift, "sensor": sensor})
+    calibration = calibration.replace(color_shift_px=shift, sensor=sensor)
     return GeometryFit(
         calibration=calibration,
         poses=tuple(pose.name for pose in fit.poses),
@@ -336,11 +337,8 @@ def _check_rig(
     for name, size_px in (("camera", camera_size_px), ("projector", projector_size_px)):
         lens = None if base is None else getattr(base, name)
         if lens is not None and lens.size_px != tuple(size_px):
-            raise CalibrationError(
-                "the calibration whose light is kept is for another {}, of {}x{} px, not {}x{}: leave it out".format(
-                    name, *lens.size_px, *size_px
-                )
-            )
+            sizes = sizes_differ(name, tuple(size_px), "that of the calibration whose light is kept is", lens.size_px)
+            raise CalibrationError(f"{sizes}: leave that calibration out")
 
 
 def _need(kept: list[BoardPose], left_out: list[tuple[str, str]]) -> None:

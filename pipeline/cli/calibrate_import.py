@@ -58,8 +58,6 @@ def import_calibration(
         raise SettingsError(f"{file} holds no geometry: omit --region and --binning")
     if region is not None and rig.camera is not None:
         x, y, width, height = part_of(region, "--region")
-        if x + width > rig.camera.size_px[0] or y + height > rig.camera.size_px[1]:
-            raise SettingsError("--region sticks out of the {}x{} px: make it smaller".format(*rig.camera.size_px))
         rig = rig.cropped(x, y, (width, height))
     if binning is not None:
         rig = rig.binned(*size_of(binning, "--binning"))

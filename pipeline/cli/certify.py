@@ -24,6 +24,7 @@ from pipeline.cli.console import (
 )
 from pipeline.errors import CalibrationError, SettingsError
 from pipeline.files import write_atomically
+from pipeline.text import sizes_differ
 
 if TYPE_CHECKING:
     from pipeline.diagnosis.artefacts import BallBar
@@ -127,10 +128,8 @@ def _capture(rig: str, folder: Path, bar: "BallBar", path: Path | None, distance
             guided.check_rig()
             geometry.check_frame(guided.camera_px)
             if studio.projector_px != geometry.projector.size_px:
-                here, known_px = ("{}x{}".format(*px) for px in (studio.projector_px, geometry.projector.size_px))
-                raise CalibrationError(
-                    f"the projector has {here} px, the calibrated one {known_px}: choose its display"
-                )
+                sizes = "the projector", studio.projector_px, "the calibrated one is", geometry.projector.size_px
+                raise CalibrationError(f"{sizes_differ(*sizes)}: choose its display")
             guided.take_positions(positions, make_pattern(studio.projector_px, geometry.pattern, known.response))
     return known
 

@@ -29,8 +29,9 @@ from rich.progress import (
 )
 from rich.segment import Segment
 
-from pipeline.errors import OutputError, SettingsError
+from pipeline.errors import DecodeWarning, OutputError, SettingsError
 from pipeline.text import one_line
+from tikernels.errors import Error, SlowStart
 
 if TYPE_CHECKING:
     from pipeline.batch.run import DecodeProgress
@@ -113,9 +114,6 @@ class _Printed(Console):
 #: Results, and remarks. Names of files may look like markup.
 stdout = _Printed(markup=False, emoji=False)
 stderr = _Printed(stderr=True, markup=False, emoji=False)
-
-#: Modules whose errors a user can cause; each message is one line.
-USER_ERRORS = ("hardware.errors", "pipeline.errors", "tikernels.errors")
 
 
 def say(line: str) -> None:
@@ -322,7 +320,7 @@ def read_calibration(path: Path | None) -> "Calibration | None":
 
 
 def _show_warning(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
-    prefix = "warning" if category.__module__ in USER_ERRORS else category.__name__
+    prefix = "warning" if issubclass(category, DecodeWarning | SlowStart) else category.__name__
     remark(f"{prefix}: {message}")
 
 
@@ -346,8 +344,7 @@ def run(command: Callable[[], object]) -> None:
     try:
         command()
     except Exception as error:
-        known = any(kind.__module__ in USER_ERRORS for kind in type(error).__mro__)
-        line = str(error) if known else _limit_of_the_system(error)
+        line = str(error) if isinstance(error, Error) else _limit_of_the_system(error)
         if line is None:
             raise
         _tell(f"error: {line}", "red")

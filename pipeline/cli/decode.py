@@ -31,7 +31,7 @@ from pipeline.footage.footage import StoredAs
 from pipeline.footage.image_folder import is_footage
 from pipeline.models import CodeChoice
 from pipeline.output.folder import MESHES, STORE
-from pipeline.output.formats.table import FORMATS, Kind
+from pipeline.output.formats.table import format_of
 from pipeline.output.report import depth_in_words
 from pipeline.output.store import chosen_fields
 from pipeline.output.stored_result import StoredResult, mesh_fields
@@ -69,7 +69,7 @@ class SettingsOptions:
         given = {names.get(name, name): value for name, value in asdict(self).items() if value is not None}
         if not given:
             return settings
-        return DecodeSettings.of(**{**settings.model_dump(exclude_unset=True), **given})
+        return settings.replace(**given)
 
 
 @Parameter(name="*")
@@ -94,7 +94,7 @@ class FootageOptions:
     """In how many processes to decode; left out, one for each core, or a single one with a GPU."""
     cluster: str | None = None
     """Decode on a Dask cluster: the scheduler's address, as tcp://10.0.0.1:8786."""
-    export: Kind | None = None
+    export: str | None = None
     """Write each frame in another format, too, as ply, glb or pcd, into the folder meshes."""
 
 
@@ -179,7 +179,7 @@ def _within(rig: Calibration | None, depth_range_mm: tuple[float, float] | None)
         raise SettingsError(
             f"--depth-range is {nearest:g} {farthest:g}: give the nearest and the farthest depth in mm, as 700 1100"
         )
-    return rig.model_copy(update={"depth_range_mm": depth_range_mm})
+    return rig.replace(depth_range_mm=depth_range_mm)
 
 
 def _decode_video(
@@ -227,7 +227,7 @@ def _decode_video(
         sys.exit(SOME_ARE_BAD)
 
 
-def _check_meshes(out: str, names: tuple[str, ...] | None, kind: Kind, *, in_mm: bool) -> None:
+def _check_meshes(out: str, names: tuple[str, ...] | None, kind: str, *, in_mm: bool) -> None:
     """Refuse files that could not be made, before footage is decoded for hours."""
     if "://" in out:
         store = f"{out.rstrip('/')}/{STORE}"
@@ -236,8 +236,9 @@ def _check_meshes(out: str, names: tuple[str, ...] | None, kind: Kind, *, in_mm:
     lacking = [name for name in mesh_fields(in_mm=in_mm) if name not in fields]
     if lacking:
         raise SettingsError(f"meshes are made of {' and '.join(lacking)}: add that to --fields")
-    if FORMATS[kind].encode_mesh is None and not in_mm:
-        raise SettingsError(f"{FORMATS[kind].meaning} is in mm: give a --calibration that holds the geometry")
+    form = format_of(kind)
+    if form.encode_mesh is None and not in_mm:
+        raise SettingsError(f"{form.meaning} is in mm: give a --calibration that holds the geometry")
 
 
 def _say_whether_relative(location: str) -> None:

@@ -3,14 +3,14 @@
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from cyclopts import Parameter
 
 from pipeline.cli.console import SOME_ARE_BAD, bounded, counted, frames, remark, say
 from pipeline.errors import FootageError, OutputError, SettingsError
 from pipeline.output.folder import store_in
-from pipeline.output.formats.table import FORMATS, Kind
+from pipeline.output.formats.table import format_of
 from pipeline.output.frame_export import export_frames
 from pipeline.output.surface_mesh import MeshOptions
 from pipeline.recording.video_export import export_video
@@ -45,7 +45,7 @@ def export(
     /,
     *,
     out: Path | None = None,
-    kind: Kind | Literal["mkv"] = "ply",
+    kind: str = "ply",
     force: bool = False,
     part: MeshChoice = _ALL,
 ) -> None:
@@ -66,7 +66,7 @@ def export(
     kind
         The format: meshes as ply, obj, stl, glb or wrl; the camera's grid of points as pcd or npz; measured points as
         xyz or csv; depth as 16-bit png or tiff; all frames in one ROS bag as mcap. Of a recording a lossless video
-        (FFV1) as mkv, which decodes to the same.
+        (FFV1) as mkv, which decodes to the same. Installed packages may add others.
     force
         Write all again, and replace files of these names that were changed or are not ours.
     """
@@ -89,14 +89,17 @@ def _write_video(recording: Path, folder: Path | None, *, force: bool) -> None:
     say(f"{n_frames} frame{'s' if n_frames != 1 else ''} as FFV1 in {video}")
 
 
-def write_frames(store: str, folder: Path, kind: Kind, options: MeshOptions, *, force: bool) -> bool:
+def write_frames(store: str, folder: Path, kind: str, options: MeshOptions, *, force: bool) -> bool:
     """Write every frame of a store that is done, say what became of them, and return whether there is a file of each.
 
     Raises
     ------
     FootageError
         No frame shows a surface.
+    SettingsError
+        There is no such format.
     """
+    form = format_of(kind)
     runtime.init("cpu")
     with counted("frames") as show:
         done = export_frames(store, folder, kind, show, options=options, force=force, remark=remark)
@@ -107,7 +110,7 @@ def write_frames(store: str, folder: Path, kind: Kind, options: MeshOptions, *, 
         remark(f"{frames(len(done.empty))} empty, as frame {done.empty[0]}: there is no file of what shows no surface")
     for number, why in sorted(done.damaged.items())[:1]:
         remark(f"{frames(len(done.damaged))} damaged and left out; frame {number}: {why}")
-    what = f"{n_files} frame{'s' if n_files != 1 else ''} as {FORMATS[kind].meaning} in {folder}"
+    what = f"{n_files} frame{'s' if n_files != 1 else ''} as {form.meaning} in {folder}"
     if not done.written:
         say(f"{what} were exported before, and are whole: --force writes them again")
     else:

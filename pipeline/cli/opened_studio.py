@@ -58,8 +58,8 @@ def opened_studio(
             studio: Studio = SimulatedStudio(held, settings.camera.exposure_s, tell=show, faults=faults)
         else:
             if any_exposure:
-                projector = settings.projector.model_copy(update={"colour_cycle_s": None})
-                settings = settings.model_copy(update={"projector": projector})
+                projector = settings.projector.replace(colour_cycle_s=None)
+                settings = settings.replace(projector=projector)
             check_projector(settings, rig)
             runtime.init("cpu")
             studio = RigStudio(settings, open_instruments, picture, show)

@@ -19,6 +19,7 @@ from pipeline.cli.console import RigFile, above_zero, read_calibration, remark, 
 from pipeline.errors import CalibrationError, SettingsError
 from pipeline.footage.image_file import read_codes
 from pipeline.models import CodeChoice, build
+from pipeline.text import sizes_differ
 
 projector = App(name="projector", help="Switch the rig's projector, over PJLink or InFocus's RS-232 commands.")
 
@@ -149,10 +150,8 @@ def _display_size(number: int, size: str | None, calibrated_px: tuple[int, int] 
     with Display(number) as screen:
         size_px = screen.size_px
     if calibrated_px is not None and calibrated_px != size_px:
-        here, known = ("{}x{}".format(*px) for px in (size_px, calibrated_px))
-        raise CalibrationError(
-            f"display {number} has {here} px, the calibrated projector {known}: choose its display, or set that size"
-        )
+        sizes = sizes_differ(f"display {number}", size_px, "the calibrated projector is", calibrated_px)
+        raise CalibrationError(f"{sizes}: choose its display, or set that size")
     return size_px
 
 

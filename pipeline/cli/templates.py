@@ -11,11 +11,12 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from hardware.drivers import CAMERAS, PROJECTORS, SIMULATED, SOFTWARE, TRIGGERS
+from hardware.models import allowed_values
 from hardware.settings import CameraSettings, ProjectorSettings, RigSettings, TriggerSettings
 from pipeline.cli.console import Replace, bounded, check_target, say
 from pipeline.errors import SettingsError
 from pipeline.files import write_atomically
-from pipeline.models import allowed_values, build
+from pipeline.models import build
 from pipeline.settings import DecodeSettings
 
 _WIDTH = 118

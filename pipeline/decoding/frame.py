@@ -25,11 +25,11 @@ from pipeline.decoding.fields import (
     fields_of,
 )
 from pipeline.decoding.frame_fields import FrameFields
-from pipeline.decoding.frame_reader import size_text
 from pipeline.decoding.labels import result_attributes
 from pipeline.decoding.surface_search import FoundSurfaces, OnlyColor
 from pipeline.errors import SettingsError
 from pipeline.settings import DecodeSettings
+from pipeline.text import sizes_differ
 from tikernels import runtime
 from tikernels.arrays import F32, Array
 from tikernels.depth.point_uncertainty import point_sigma
@@ -104,8 +104,8 @@ class FrameMemory:
             raise SettingsError(f"stripes are {stripes}, those of the frame before were not: leave previous away")
         before = self.surface.mask.shape
         if before != shape:
-            turn = -1 if stripes == "vertical" else 1
-            raise ShapeError(f"frame is {size_text(shape[::turn])} but the one before is {size_text(before[::turn])}")
+            turn = 1 if stripes == "vertical" else -1
+            raise ShapeError(sizes_differ("frame", shape[::turn], "the one before is", before[::turn]))
         return replace(self, elapsed=elapsed)
 
 

@@ -173,6 +173,10 @@ class FrameFields(ABC):
         Raises
         ------
         OutputError
-            It cannot be written there, or not in such a format.
+            It cannot be written there.
+        SettingsError
+            There is no such format, or not for one frame.
+        FootageError
+            The format holds places in mm, and there are none.
         """
         save_frame(self, Path(path))

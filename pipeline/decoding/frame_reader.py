@@ -10,6 +10,7 @@ from pipeline.calibration import Geometry
 from pipeline.decoding.light_model import LightModel
 from pipeline.errors import FootageError
 from pipeline.settings import DecodeSettings
+from pipeline.text import sizes_differ
 from tikernels import checks, runtime
 from tikernels.arrays import LevelsImage
 from tikernels.checks import on_host
@@ -124,7 +125,7 @@ class FrameReader:
         if self._geometry is not None:
             self._geometry.check_frame((shape[1], shape[0]))
         if self._reference_shape is not None and self._reference_shape != shape[:2]:
-            raise ShapeError(f"frame is {size_text(shape)} but the reference is {size_text(self._reference_shape)}")
+            raise ShapeError(sizes_differ("frame", shape[1::-1], "the reference is", self._reference_shape[::-1]))
 
 
 def size_text(shape: tuple[int, ...]) -> str:

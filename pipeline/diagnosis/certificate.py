@@ -144,8 +144,8 @@ def under_cells(calibration: Calibration) -> Calibration:
     """
     pattern = choose_pattern(calibration, None, None, "contrast2")
     if calibration.response is not None:  # it is undone in what is shown
-        pattern = pattern.model_copy(update={"compensated": True})
-    return calibration.model_copy(update={"pattern": pattern})
+        pattern = pattern.replace(compensated=True)
+    return calibration.replace(pattern=pattern)
 
 
 def certify(

@@ -89,9 +89,7 @@ def measure_drift(before: DecodedFrame, now: DecodedFrame, calibration: Calibrat
     left_mm = float(np.hypot(unsure, robust_sigma((cycles - shapes @ found)[still]))) * mm
     known = calibration.uncertainty or Uncertainty()
     bias_mm = float(np.hypot(known.depth_bias_mm or 0.0, left_mm))
-    corrected = _moved(calibration, found).model_copy(
-        update={"uncertainty": known.model_copy(update={"depth_bias_mm": bias_mm})}
-    )
+    corrected = _moved(calibration, found).replace(uncertainty=known.replace(depth_bias_mm=bias_mm))
     units = np.array([_focal_px(geometry), np.degrees(1), 1])
     values, sigmas = found * units, np.sqrt(np.diag(covariance)) * units
     return Drift(
@@ -134,12 +132,10 @@ def _moved(calibration: Calibration, drift: FloatArray) -> Calibration:
     rotation = cv2.Rodrigues(turn)[0]
     lens = geometry.projector
     matrix = lens.matrix * [[1 + drift[2], 1, 1], [1, 1 + drift[2], 1], [1, 1, 1]]
-    return calibration.model_copy(
-        update={
-            "rotation": rotation @ geometry.rotation,
-            "translation_mm": rotation @ geometry.translation_mm,
-            "projector": lens.model_copy(update={"matrix": matrix}),
-        }
+    return calibration.replace(
+        rotation=rotation @ geometry.rotation,
+        translation_mm=rotation @ geometry.translation_mm,
+        projector=lens.replace(matrix=matrix),
     )
 
 

@@ -322,8 +322,7 @@ def _left_of_edges(stored: StoredFrame) -> tuple[float, float]:
 
 def decoder_settings(settings: DecodeSettings) -> DecodeSettings:
     """Return the settings of a decoder that is given linear light in 0..1."""
-    linear = {"transfer": "linear", "white_level": None, "min_intensity": None, "min_modulation": None, "noise": None}
-    return settings.model_copy(update=linear)
+    return settings.replace(transfer="linear", white_level=None, min_intensity=None, min_modulation=None, noise=None)
 
 
 @dataclass
@@ -365,7 +364,7 @@ def gather_evidence(
         Called with what is being done.
     """
     if settings.transfer is None:
-        settings = settings.model_copy(update={"transfer": source.transfer or "linear"})
+        settings = settings.replace(transfer=source.transfer or "linear")
     gatherer = _Gatherer(source, says, settings, arch, tell)
     runs = _runs(len(source))
     middle, total = max(runs, key=len), sum(map(len, runs))
@@ -502,7 +501,7 @@ def _turned(stored: StoredFrame, settings: DecodeSettings) -> DecodeSettings:
         return settings
     if measure_frame(across[settings.stripes]).period_px is not None or measure_frame(across[other]).period_px is None:
         return settings
-    return settings.model_copy(update={"stripes": other})
+    return settings.replace(stripes=other)
 
 
 def _known_crosstalk(decoder: Decoder | None) -> FloatArray | None:

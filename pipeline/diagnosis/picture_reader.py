@@ -20,7 +20,7 @@ class PictureReader:
     def __init__(self, source: Footage, calibration: Calibration, settings: DecodeSettings, arch: str) -> None:
         self.calibration = calibration = calibration.as_read_out(source.size_px, source.sensor, source.name)
         if calibration.pattern is not None and "stripes" not in settings.model_fields_set:
-            settings = settings.model_copy(update={"stripes": calibration.pattern.stripes})
+            settings = settings.replace(stripes=calibration.pattern.stripes)
         at_calibration = None if calibration.capture is None else calibration.capture.transfer
         self.transfer: Transfer = settings.transfer or "linear"
         if settings.transfer is None and at_calibration is not None:

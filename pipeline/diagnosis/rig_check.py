@@ -331,8 +331,8 @@ def correct_light(
     """
     if any(finding.causes == ("transfer",) for finding in diagnosis.findings):
         camera = calibration.capture or CameraState()
-        changed = camera.model_copy(update={"transfer": other_transfer(transfer)})
-        return calibration.model_copy(update={"capture": changed})
+        changed = camera.replace(transfer=other_transfer(transfer))
+        return calibration.replace(capture=changed)
     causes = {cause for finding in diagnosis.findings for cause in finding.causes}
     if not causes & {"response", "crosstalk", "even crosstalk"}:
         raise CalibrationError("no fault was found that one frame can correct: do what the check advises")
@@ -350,8 +350,8 @@ def correct_light(
         update["response"] = np.tile(light.response, (3, 1))
         if calibration.pattern is not None:
             # The response that a frame shows is what the pattern has not undone.
-            update["pattern"] = calibration.pattern.model_copy(update={"compensated": False})
-    return calibration.model_copy(update=update)
+            update["pattern"] = calibration.pattern.replace(compensated=False)
+    return calibration.replace(**update)
 
 
 def holds_captures(folder: Path) -> bool:

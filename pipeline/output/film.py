@@ -243,7 +243,7 @@ class _FilmRun:
                     self._drawn[said["part"]] = said["drawn"]
                     self._tell(sum(self._drawn.values()), len(self._job.numbers))
 
-        job = self._job.model_copy(update={"parts": tuple(parts)})
+        job = self._job.replace(parts=tuple(parts))
         return draw_apart(job, folder, self._timeout_s, hear, remark=self._remarks.add, threads=threads)
 
 

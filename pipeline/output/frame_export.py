@@ -24,7 +24,7 @@ from pipeline.limits import read_plain
 from pipeline.locking import locked
 from pipeline.output.folder import file_mark, is_as_marked, is_plain_name
 from pipeline.output.formats.ros_bag import write_bag
-from pipeline.output.formats.table import FORMATS, Kind, encode_as
+from pipeline.output.formats.table import encode_as, format_of
 from pipeline.output.mesh import Mesh, RangeGrid, provenance_of
 from pipeline.output.store import WORTH_SAYING, in_bytes
 from pipeline.output.stored_result import StoredResult, mesh_fields
@@ -61,7 +61,7 @@ class _Item:
 def export_frames(
     location: str | Path,
     folder: str | Path,
-    kind: Kind,
+    kind: str,
     tell: Callable[[int, int], None] = lambda done, of: None,
     *,
     options: MeshOptions | None = None,
@@ -77,7 +77,7 @@ def export_frames(
     folder : str or Path
         Where to; made if it does not exist.
     kind : str
-        The format, one of `FORMATS`. All frames go into one bag where it is ``"mcap"``.
+        The format, as for `format_of`. All frames go into one bag where it is ``"mcap"``.
     tell : callable
         Receives how many of how many frames have been read.
     options : MeshOptions, optional
@@ -95,9 +95,9 @@ def export_frames(
         The folder cannot be written, is being written by another run, or holds a file of such a name that was changed,
         or that no export has written; then nothing is replaced.
     SettingsError
-        The options are of no use for this format, or ask for mm, and there are none.
+        There is no such format; or the options are of no use for it, or ask for mm, and there are none.
     """
-    result, folder, form = StoredResult(location), Path(folder), FORMATS[kind]
+    form, result, folder = format_of(kind), StoredResult(location), Path(folder)
     if not result.done:
         raise FootageError(f"{result.name} holds no frame that is done: decode first")
     for name in mesh_fields(in_mm=result.in_mm):
@@ -129,9 +129,9 @@ def export_frames(
 class _Maker:
     """Makes a store's frames into files of one kind."""
 
-    def __init__(self, result: StoredResult, kind: Kind, options: MeshOptions) -> None:
+    def __init__(self, result: StoredResult, kind: str, options: MeshOptions) -> None:
         self._result, self._kind, self._options = result, kind, options
-        self._form = FORMATS[kind]
+        self._form = format_of(kind)
         self._farthest_mm = self._farthest() if self._form.has_step else 0.0
 
     def items(self) -> dict[str, tuple[int, ...]]:

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from pipeline.calibration.lens import Lens
 from pipeline.showing import to_html
 from pipeline.text import one_line
+from tikernels.errors import ShapeError
 
 Unit = Literal["mm", "rad"]
 
@@ -66,7 +67,7 @@ class Mesh:
 
     Raises
     ------
-    ValueError
+    ShapeError
         If the arrays do not fit together, or a vertex is not finite.
 
     Examples
@@ -112,19 +113,19 @@ class Mesh:
         if self.texture is not None:
             wanted.append(("texture", self.texture, (*self.texture.shape[:2], 3), np.uint8))
             if self.pixels is None:
-                raise ValueError("texture: give the vertices' pixels in it, too")
+                raise ShapeError("texture: give the vertices' pixels in it, too")
         for name, values, shape, dtype in wanted:
             if values.shape != shape or values.dtype != dtype:
-                raise ValueError(f"{name}: got shape {values.shape} {values.dtype}, expected {shape} {np.dtype(dtype)}")
+                raise ShapeError(f"{name}: got shape {values.shape} {values.dtype}, expected {shape} {np.dtype(dtype)}")
         for name in self.properties:
             if not name.isascii() or name.split() != [name] or name in RESERVED:
-                raise ValueError(f"property {name!r}: expected one plain word other than {', '.join(RESERVED)}")
+                raise ShapeError(f"property {name!r}: expected one plain word other than {', '.join(RESERVED)}")
         if self.unit not in get_args(Unit):
-            raise ValueError(f"unit: got {self.unit!r}, expected 'mm' or 'rad'")
+            raise ShapeError(f"unit: got {self.unit!r}, expected 'mm' or 'rad'")
         if not np.isfinite(self.vertices).all():
-            raise ValueError("vertices: some are not finite; leave masked pixels out of the mesh")
+            raise ShapeError("vertices: some are not finite; leave masked pixels out of the mesh")
         if self.faces.size and not (self.faces.min() >= 0 and self.faces.max() < count):
-            raise ValueError(f"faces: got corners {self.faces.min()} to {self.faces.max()} of {count} vertices")
+            raise ShapeError(f"faces: got corners {self.faces.min()} to {self.faces.max()} of {count} vertices")
 
     def _repr_html_(self) -> str | None:
         return to_html(self)
@@ -142,11 +143,11 @@ class Mesh:
 
         Raises
         ------
-        ValueError
+        ShapeError
             It has no texture.
         """
         if self.texture is None or self.pixels is None:
-            raise ValueError("this mesh has no texture")
+            raise ShapeError("this mesh has no texture")
         height, width = self.texture.shape[:2]
         return np.asarray((self.pixels + 0.5) / (width, height), np.float64)
 

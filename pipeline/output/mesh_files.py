@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.errors import FootageError, OutputError
+from pipeline.errors import FootageError, OutputError, SettingsError
 from pipeline.files import write_atomically
 from pipeline.limits import MAX_PIXELS, max_pixels, open_plain, read_plain
 from pipeline.output.formats.camera_grids import decode_depth, decode_pcd
@@ -22,6 +22,7 @@ from pipeline.output.formats.table import (
     FileFormat,
     UnitName,
     encode_as,
+    format_of,
     in_camera_frame,
 )
 from pipeline.output.formats.vrml import decode_vrml
@@ -32,7 +33,7 @@ _DECODERS = {"ply": decode_ply, "wrl": decode_vrml}
 _GRID_DECODERS = {"pcd": decode_pcd, "png": decode_depth, "tiff": decode_depth, "tif": decode_depth}
 _BAG = "mcap"
 _POINTS = ("xyz", "csv", "npz")
-_FORMS: dict[str, FileFormat] = dict(FORMATS.items()) | {"gltf": FORMATS["glb"], "tif": FORMATS["tiff"]}
+_FORMS: dict[str, FileFormat] = FORMATS | {"gltf": FORMATS["glb"], "tif": FORMATS["tiff"]}
 # A vertex and its two triangles take some 150 bytes as text, and colours and normals some more.
 _BYTES_A_PIXEL = 250
 
@@ -45,7 +46,8 @@ def write_mesh(mesh: Mesh, path: str | Path) -> None:
     mesh : Mesh
         What to write; `pipeline.output.formats.table` says what each format keeps of it, and which way is up there.
     path : str or Path
-        A .ply, .obj, .stl, .glb or .wrl file. An OBJ file with a texture has an .mtl and a .png next to it.
+        A .ply, .obj, .stl, .glb or .wrl file, or of a format that an installed package announces. An OBJ file with a
+        texture has an .mtl and a .png next to it.
 
     Raises
     ------
@@ -62,10 +64,12 @@ def write_mesh(mesh: Mesh, path: str | Path) -> None:
     '900 mm'
     """
     path = Path(path)
-    form = MESH_FORMATS.get(path.suffix.lower())
-    if form is None:
-        known = ", ".join(MESH_FORMATS)
-        raise OutputError(f"cannot write {path}: unknown mesh format '{path.suffix}', use one of {known}")
+    try:
+        form = format_of(path.suffix.lower()[1:])
+    except SettingsError as error:
+        raise OutputError(f"cannot write {path}: {error}") from None
+    if form.encode_mesh is None:
+        raise OutputError(f"cannot write {path}: {form.meaning} is no format of meshes, use {', '.join(MESH_FORMATS)}")
     files = encode_as(form, mesh, path.stem)
     own = path.suffix.lower()
     # What a file names is there before it.

@@ -5,7 +5,7 @@ Nothing here draws with VTK, which dies where there is no GL: pictures are shade
 
 import math
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,9 +13,9 @@ import numpy.typing as npt
 from pipeline.calibration import Calibration
 from pipeline.decoding.frame import DecodedFrame
 from pipeline.decoding.frame_fields import FrameFields
-from pipeline.errors import FootageError, OutputError
+from pipeline.errors import FootageError, SettingsError
 from pipeline.files import write_atomically
-from pipeline.output.formats.table import FORMATS, Kind, encode_as
+from pipeline.output.formats.table import encode_as, format_of
 from pipeline.output.mesh import Mesh, flag_counts
 from pipeline.output.mesh_files import write_mesh
 from pipeline.output.range_image import encode_png, shade_range
@@ -156,15 +156,13 @@ def _frame_surface(frame: FrameFields) -> Any:
 
 @save_frame.register
 def _save_frame(frame: FrameFields, path: Path) -> None:
-    kind = path.suffix.lower()
-    if kind == ".zarr" and isinstance(frame, DecodedFrame):
+    kind = path.suffix.lower().removeprefix(".")
+    if kind == "zarr" and isinstance(frame, DecodedFrame):
         write_store(path, frame)
         return
-    form = FORMATS.get(cast(Kind, kind.removeprefix(".")))
-    if form is None or form.holds_all_frames:
-        known = ", ".join(f".{name}" for name, form in FORMATS.items() if not form.holds_all_frames)
-        stored = ", .zarr" if isinstance(frame, DecodedFrame) else ""
-        raise OutputError(f"cannot write {path}: unknown format {path.suffix!r}, use one of {known}{stored}")
+    form = format_of(kind)
+    if form.holds_all_frames:
+        raise SettingsError(f"{form.meaning} holds all frames of a film: choose another format for one frame")
     if form.encode_mesh is not None:
         write_mesh(frame_mesh(frame), path)
         return

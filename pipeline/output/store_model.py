@@ -5,13 +5,14 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from hardware.models import first_fault
 from pipeline.calibration.lens import Lens
 from pipeline.decoding.front_side import RimVotes
 from pipeline.decoding.rig_state import RigState
 from pipeline.decoding.self_calibration import LightEstimate
 from pipeline.errors import DamageError
 from pipeline.limits import MOST_FRAMES
-from pipeline.models import CodeName, first_fault
+from pipeline.models import CodeName
 
 _Count = Annotated[int, Field(ge=0, le=MOST_FRAMES)]
 # A plain name: it chooses what is read.

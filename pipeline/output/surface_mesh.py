@@ -409,11 +409,11 @@ def decimate_mesh(mesh: Mesh, max_triangles: int) -> Mesh:
 
     Raises
     ------
-    ValueError
+    SettingsError
         The number is less than one.
     """
     if max_triangles < 1:
-        raise ValueError(f"max_triangles: got {max_triangles}, expected 1 or more")
+        raise SettingsError(f"max_triangles: got {max_triangles}, expected 1 or more")
     if len(mesh.faces) <= max_triangles:
         return mesh
     import pyvista  # slow to import, and seldom needed

@@ -21,6 +21,7 @@ from pipeline.footage.zarr_recording import RecordingTags
 from pipeline.locking import locked
 from pipeline.models import ImageArray, SensorPart
 from pipeline.recording.zarr_writer import MOST_THREADS, PART, ZarrWriter
+from pipeline.text import sizes_differ
 from tikernels.errors import ShapeError
 from tikernels.raw.pixel_format import PixelFormat
 
@@ -144,6 +145,8 @@ class Recorder:
             recording has ended.
         """
         shape = self._format.plane_shapes(*frame.shape[:2])[0] if frame.ndim >= 2 else ()
+        if self._shape and frame.ndim == len(self._shape) and frame.shape[:2] != self._shape[:2]:
+            raise ShapeError(sizes_differ("frame", frame.shape[1::-1], "the first one is", self._shape[1::-1]))
         if frame.shape != (self._shape or shape) or frame.dtype != self._format.dtype:
             expected = self._shape or ("(H, W, 3)" if self._format.layout == "rgb" else "(H, W)")
             raise ShapeError(f"frame has shape {frame.shape} {frame.dtype}, expected {expected} {self._format.dtype}")

@@ -96,14 +96,18 @@ def test_a_package_and_a_module_that_is_loaded_are_named_too(installed, tmp_path
 
 
 def test_type_checkers_see_the_public_names(installed, tmp_path):
-    """The checker follows the names into the installed packages: what they are is known, and a mistake is found."""
+    """The checker follows the names into the installed packages: what they are is known, and a mistake is found.
+
+    A strict one finds nothing else wrong with a program that uses them.
+    """
     pytest.importorskip("mypy")
     names = sorted(colorphase.__all__)
-    lines = ["import colorphase", *(f"reveal_type(colorphase.{name})" for name in names), "colorphase.init(1)"]
+    program = (Path(__file__).parent / "typed_program.py").read_text(encoding="utf-8")
+    lines = [program, *(f"reveal_type(colorphase.{name})" for name in names), "colorphase.init(1)"]
     (tmp_path / "program.py").write_text("\n".join(lines), encoding="utf-8")
-    mypy = [sys.executable, "-m", "mypy", "--python-executable", str(installed / "python"), "--no-incremental"]
+    mypy = [sys.executable, "-m", "mypy", "--strict", "--python-executable", str(installed / "python")]
     quiet = {"capture_output": True, "text": True, "timeout": 240, "check": False}
-    said = subprocess.run([*mypy, "program.py"], cwd=tmp_path, **quiet).stdout.splitlines()
+    said = subprocess.run([*mypy, "--no-incremental", "program.py"], cwd=tmp_path, **quiet).stdout.splitlines()
     told = [line.partition("Revealed type is ")[2] for line in said if "Revealed type is" in line]
     assert len(told) == len(names) and '"Any"' not in told, said
     errors = [line for line in said if ": error:" in line]

@@ -19,8 +19,6 @@ from support.stored_planes import LENS, reseal, store
 from support.tilted_sheets import PROVENANCE, tilted_grid
 from support.video_files import H264, MJPEG, encode, moving_planes
 
-from hardware import errors as hardware_errors
-from pipeline import errors as pipeline_errors
 from pipeline.acquisition.chosen_rig import read_rig
 from pipeline.calibration import Calibration, Pattern
 from pipeline.calibration.color_chart import read_spectra
@@ -40,16 +38,9 @@ from pipeline.recording.video_export import export_video
 from pipeline.settings import DecodeSettings
 from pipeline.simulation import simulated_rig
 from pipeline.zarr_chunks import with_checksum, without_checksum
-from tikernels import errors as kernel_errors
+from tikernels.errors import Error
 from tikernels.raw.pixel_format import PixelFormat
 
-#: What may be raised: one line that says what is wrong.
-OWN_ERRORS: tuple[type[Exception], ...] = tuple(
-    error
-    for module in (hardware_errors, pipeline_errors, kernel_errors)
-    for error in vars(module).values()
-    if isinstance(error, type) and issubclass(error, Exception) and not issubclass(error, Warning)
-)
 #: What became of a damaged file.
 REFUSED, IN_PART, SAME, OTHERWISE = "refused", "read in part", "read as before", "read otherwise"
 
@@ -105,7 +96,7 @@ def _read_store(path: Path) -> Reading:
         for number in stored.done:
             try:
                 parts[f"{name} {number}"] = _digest(getattr(stored.frame(number), name))
-            except OWN_ERRORS as error:
+            except Error as error:
                 told = True
                 _check_line(str(error))
     return Reading(parts, told)
@@ -116,7 +107,7 @@ def _read_all_of_a_store(path: Path) -> Reading:
     stored = StoredResult(path)
     known = [stored.size_px, len(stored.wanted), stored.front_known, stored.camera, bool(stored._repr_html_())]
     for number in stored.done:
-        with suppress(*OWN_ERRORS):
+        with suppress(Error):
             known += [stored.frame(number).warnings, stored.frame(number).time_s, stored.frame(number).digest]
             known += [stored.fault(number), len(frame_mesh(stored.frame(number)).vertices)]
     return Reading({"all": _digest(*known)})
@@ -381,7 +372,7 @@ def outcome(sample: Sample, path: Path, whole: Reading) -> str:
     """
     try:
         reading = sample.read(path)
-    except OWN_ERRORS as error:
+    except Error as error:
         _check_line(str(error))
         return REFUSED
     if reading.parts == whole.parts:

@@ -5,13 +5,14 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from support.file_samples import OWN_ERRORS, REFUSED
+from support.file_samples import REFUSED
 
 from pipeline import Calibration, Decoder, DecodeSettings
 from pipeline.decoding.frame import DecodedFrame
 from pipeline.errors import CalibrationError, DecodeWarning
 from pipeline.models import build
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
+from tikernels.errors import Error
 
 DECODED = "decoded"
 _SIZES = ((1, 1), (1, 300), (16, 16), (17, 23), (48, 64), (64, 48), (16, 700), (700, 16), (96, 128), (33, 250))
@@ -112,7 +113,7 @@ def decode_hostile(rng: np.random.Generator) -> str:
     """
     image = hostile_frame(rng)
     try:
-        settings = DecodeSettings.of(**hostile_settings(rng))
+        settings = DecodeSettings(**hostile_settings(rng))
         calibration = None
         if rng.random() < 0.3:
             calibration = build(Calibration, hostile_calibration(rng, image.shape[1::-1]), CalibrationError, "rig")
@@ -122,7 +123,7 @@ def decode_hostile(rng: np.random.Generator) -> str:
             before = decoder.decode(image)
             check_sane(before)
             check_sane(decoder.decode(image, previous=before))
-    except OWN_ERRORS as error:
+    except Error as error:
         if "\n" in str(error):
             raise AssertionError(f"{error} is not one line") from error
         return REFUSED

@@ -9,7 +9,7 @@ from unittest import mock
 import numpy as np
 from support.byte_script import AnsweringPort
 from support.damage import damaged
-from support.file_samples import OWN_ERRORS, REFUSED
+from support.file_samples import REFUSED
 
 from hardware.link import Link
 from hardware.projector import infocus, pjlink
@@ -20,6 +20,7 @@ from hardware.trigger import _dialogue, box, dg645, quantum_composers
 from hardware.trigger.box import TriggerBox, crc8
 from hardware.trigger.dg645 import DG645
 from hardware.trigger.quantum_composers import QuantumComposers
+from tikernels.errors import Error
 
 ANSWERED = "went through"
 _TRAIN = PulseTrain(0.005, 6, Pulse(0.0, 0.0001), Pulse(0.001, 0.00025))
@@ -205,7 +206,7 @@ def talk(kind: str, rng: np.random.Generator) -> str:
         link = Link("loop://", terminator=terminator, timeout_s=0.02)
         try:
             use(link)
-        except OWN_ERRORS as error:
+        except Error as error:
             if "\n" in str(error):
                 raise AssertionError(f"{error!r} is not one line") from error
             return REFUSED

@@ -24,7 +24,7 @@ FLOORS = {
         "diagnosis batch acquisition verification cli"
     ),
     "hardware": (
-        "errors drivers settings pulses protocols link display colour_cycle run_start pairing pulse_run "
+        "errors models plugins drivers settings pulses protocols link display colour_cycle run_start pairing pulse_run "
         "alternating_pictures timing simulated camera trigger projector instruments rig"
     ),
 }
@@ -78,7 +78,7 @@ def named_in(path: Path) -> Iterator[str]:
             # imports drivers by the names in its table and in rig.toml, and the one that imports a package's names.
             if isinstance(node.args[0], ast.Constant):
                 yield node.args[0].value
-            elif path.name not in ("drivers.py", "lazy_names.py"):
+            elif path.name not in ("plugins.py", "lazy_names.py"):
                 yield "taichi"
 
 
@@ -94,11 +94,22 @@ def test_two_files_take_the_kernel_language(package):
 
 @pytest.mark.parametrize(
     "package, allowed",
-    [("tikernels", {"tikernels"}), ("hardware", {"hardware"}), ("pipeline", {"tikernels", "hardware", "pipeline"})],
+    [
+        ("tikernels", {"tikernels"}),
+        ("hardware", {"hardware", "tikernels"}),
+        ("pipeline", {"tikernels", "hardware", "pipeline"}),
+    ],
 )
 def test_imports_run_one_way(package, allowed):
     for path in sources(package):
         assert imported(path) & {*PACKAGES, "tests"} <= allowed, path
+
+
+def test_the_rig_takes_errors_and_lazy_names_from_the_kernels_and_nothing_else():
+    ours = {name for path in sources("hardware") for name in imports(path) if name.split(".")[0] == "tikernels"}
+    assert ours == {"tikernels.errors", "tikernels.lazy_names"}
+    for name in ours:  # which import nothing of ours
+        assert not imported(ROOT / f"{name.replace('.', '/')}.py") & {*PACKAGES}
 
 
 @pytest.mark.parametrize("package", PACKAGES)

@@ -136,5 +136,5 @@ def test_the_version_and_the_help():
         ours = {name for name in loaded if name.split(".")[0] in ("pipeline", "tikernels")}
         assert ours <= {
             *("pipeline", "pipeline.cli", "pipeline.cli.console", "pipeline.cli.main", "pipeline.cli.start"),
-            *("pipeline.errors", "pipeline.text", "tikernels", "tikernels.lazy_names"),
+            *("pipeline.errors", "pipeline.text", "tikernels", "tikernels.errors", "tikernels.lazy_names"),
         }

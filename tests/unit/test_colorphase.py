@@ -1,11 +1,14 @@
 """What `import colorphase` offers."""
 
+import pickle
+
 import pytest
 
 import colorphase
 import hardware.errors
 import pipeline.errors
 import tikernels.errors
+from tikernels.errors import Error
 
 
 def test_all_public_names_are_there():
@@ -21,6 +24,15 @@ def test_all_public_names_are_there():
 def test_every_error_is_public(errors):
     defined = {name for name, value in vars(errors).items() if isinstance(value, type)}
     assert defined <= set(colorphase.__all__)
+
+
+@pytest.mark.parametrize("errors", [hardware.errors, pipeline.errors, tikernels.errors])
+def test_every_error_is_one_of_ours_and_of_pythons_and_crosses_processes(errors):
+    for kind in vars(errors).values():
+        if isinstance(kind, type) and kind is not Error and not issubclass(kind, Warning):
+            assert issubclass(kind, Error) and issubclass(kind, ValueError | OSError | RuntimeError), kind
+            again = pickle.loads(pickle.dumps(kind("the plug is out: put it in")))
+            assert (type(again), str(again)) == (kind, "the plug is out: put it in")
 
 
 def test_the_packages_export_what_they_say():

@@ -130,7 +130,10 @@ class PixelFormat:
         return self.dtype if self.layout == "rgb" and self.white_level in (255, 65535, 1) else np.float32
 
     def plane_shapes(self, height: int, width: int) -> tuple[tuple[int, ...], ...]:
-        """Return the shape of each plane of a frame; an "rgb" frame's where its channels are in one plane."""
+        """Return the shape of each plane of a frame of a height and a width, px: (H, W, ...), rows first.
+
+        An "rgb" frame's where its channels are in one plane.
+        """
         if self.layout == "rgb":
             return ((height, width, len(self.channels)),)
         if self.layout == "bayer":

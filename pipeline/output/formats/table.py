@@ -1,5 +1,7 @@
 """Every format that results are written in: the one table that `write_mesh`, `colorphase export` and the docs take.
 
+Installed packages add theirs by entry points: `format_of`.
+
 In memory everything is in the camera frame of OpenCV, in mm: x right, y down, z away from the camera. A program that
 takes y for up shows that upside down, and one that takes the number 1 for a metre shows a face as tall as a tower. So
 files have the axes and the unit that the users of each format expect: viewers take y for up, printers z; glTF and VRML
@@ -14,6 +16,8 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from hardware.plugins import announced, load, plugin_of
+from pipeline.errors import SettingsError
 from pipeline.output.formats import Content, Heading
 from pipeline.output.formats.camera_grids import (
     CAMERA,
@@ -34,7 +38,8 @@ AxesName = Literal["y-up", "z-up", "camera"]
 UnitName = Literal["mm", "cm", "m", "in"]
 MM: dict[str, float] = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
 
-Kind = Literal["ply", "obj", "stl", "glb", "wrl", "pcd", "png", "tiff", "xyz", "csv", "npz", "mcap"]
+#: The group of entry points in which packages announce formats.
+GROUP = "colorphase.formats"
 
 
 @dataclass(frozen=True)
@@ -122,7 +127,7 @@ _SHAPE = "triangles"
 _GRID = "the camera's grid of points, NaN kept"
 
 
-FORMATS: dict[Kind, FileFormat] = {
+FORMATS: dict[str, FileFormat] = {
     "ply": FileFormat(
         "Stanford PLY, binary",
         f"{_SHAPE}, normals, colour, flags, sigma, confidence, modulation",
@@ -164,6 +169,25 @@ FORMATS: dict[Kind, FileFormat] = {
 
 #: The kinds that are meshes, by suffix.
 MESH_FORMATS = {f".{kind}": form for kind, form in FORMATS.items() if form.encode_mesh is not None}
+
+
+def format_of(kind: str) -> FileFormat:
+    """Return a format by its kind: one of `FORMATS`, or a `FileFormat` that an installed package announces.
+
+    Raises
+    ------
+    SettingsError
+        There is none, several packages announce one, or it cannot be imported.
+    """
+    plugin = plugin_of(GROUP, kind, FORMATS, SettingsError)
+    if plugin is None:
+        if kind not in FORMATS:
+            raise SettingsError(f"{kind!r} is no format: choose one of {', '.join([*FORMATS, *announced(GROUP)])}")
+        return FORMATS[kind]
+    form = load(f"format {kind}", plugin, SettingsError)
+    if not isinstance(form, FileFormat) or form.holds_all_frames:
+        raise SettingsError(f"format {kind}: {plugin} is no FileFormat with an encoder: update that package")
+    return form
 
 
 def encode_as(form: FileFormat, shape: Mesh | RangeGrid, stem: str, farthest_mm: float = 0.0) -> dict[str, Content]:

@@ -6,7 +6,6 @@ import tomllib
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from support.file_samples import OWN_ERRORS
 
 from hardware.errors import RigError
 from hardware.settings import RigSettings
@@ -15,6 +14,7 @@ from pipeline.errors import CalibrationError, SettingsError
 from pipeline.models import build, read_file
 from pipeline.settings import DecodeSettings
 from pipeline.text import one_line
+from tikernels.errors import Error
 
 FIXED = settings(
     derandomize=True,
@@ -56,7 +56,7 @@ def test_any_text_is_read_or_refused_in_one_line(parse, tmp_path_factory):
         path.write_bytes(content)
         try:
             read_file(path, DecodeSettings, parse, SettingsError)
-        except OWN_ERRORS as error:
+        except Error as error:
             assert "\n" not in str(error)
 
     check()

@@ -81,7 +81,7 @@ def decode(case: Case, studio: Studio, sensor: Sensor) -> tuple[DecodedFrame, np
     full = 1.0 if image.dtype == np.float32 else float(np.iinfo(image.dtype).max)
     thirds = ((0, 1 / 3), (1 / 3, 2 / 3), (2 / 3, 1))
     fields = None if case.before is None else {"cycle_s": 1, "shown_s": thirds, "locked": True}
-    settings = DecodeSettings.of(reflectance_bands=case.bands, frame_s=1, fields=fields)
+    settings = DecodeSettings(reflectance_bands=case.bands, frame_s=1, fields=fields)
     decoder = Decoder(settings, calibration_for(case, studio), arch="cpu")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DecodeWarning)  # what is not known is what is measured

@@ -65,7 +65,7 @@ class Shutter:
         if self.cycle_s is not None:
             thirds = [(k * self.cycle_s / 3, (k + 1) * self.cycle_s / 3) for k in range(3)]
             fields = {"cycle_s": self.cycle_s, "shown_s": thirds}
-        return DecodeSettings.of(stripes=stripes, frame_s=self.frame_s, row_s=self.readout_s / height, fields=fields)
+        return DecodeSettings(stripes=stripes, frame_s=self.frame_s, row_s=self.readout_s / height, fields=fields)
 
     def row_starts(self, number: int, height: int) -> F64:
         """Return when the rows of a frame begin to be exposed, s."""

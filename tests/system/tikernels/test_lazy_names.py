@@ -10,6 +10,7 @@ PACKAGES = [
     "colorphase",
     "tikernels",
     *(f"tikernels.{room}" for room in ("raw", "phase", "depth", "unwrapping", "order_evidence", "scene")),
+    "hardware",
     "pipeline",
     *(f"pipeline.{room}" for room in ("footage", "recording", "calibration", "decoding", "orders")),
     *(f"pipeline.{room}" for room in ("planning", "output", "diagnosis", "batch", "acquisition")),

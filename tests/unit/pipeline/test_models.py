@@ -80,6 +80,32 @@ def test_files_that_would_take_all_memory_or_time(tmp_path, parse, content, mess
     assert "\n" not in str(raised.value)
 
 
+def test_constructors_name_the_key_from_the_top():
+    class Room(Model):
+        lamp: Lamp
+
+    with pytest.raises(SettingsError, match=r"^watts: must be"):
+        Lamp(watts=0, colour=(1, 1, 1))
+    for values, message in (
+        ({"lamp": {"watts": 0, "colour": (1, 1, 1)}}, "lamp.watts: must be a number above 0 and at most 1000000000"),
+        ({}, "lamp: is missing"),
+        ({"lamp": {}, "door": 1}, r"lamp.watts: is missing \(and 2 more\)"),
+    ):
+        with pytest.raises(SettingsError, match=f"^{message}") as raised:
+            Room(**values)
+        assert "\n" not in str(raised.value)
+
+
+def test_a_replaced_value_is_checked_and_what_was_left_out_stays_left_out():
+    lamp = Lamp(watts=5, colour=(1, 0.5, 0))
+    changed = lamp.replace(watts=7)
+    assert (changed.watts, lamp.watts, changed.model_fields_set) == (7, 5, {"watts", "colour"})
+    np.testing.assert_array_equal(changed.colour, lamp.colour)
+    for values, message in (({"watts": -7}, "watts: must be"), ({"volts": 3}, "volts: is not a known key")):
+        with pytest.raises(SettingsError, match=message):
+            lamp.replace(**values)
+
+
 def test_files_that_cannot_be_read(tmp_path):
     for content, message in ((b"\xff\x00", "it is no text file"), (b"{", "is not what it should be")):
         (tmp_path / "lamp.json").write_bytes(content)

@@ -53,7 +53,7 @@ def test_wrong_settings_are_refused_by_their_key(tmp_path, text, message):
 
 def test_fields_in_cycles_and_frames():
     shown_s = ((0, 0.1), (0.1, 0.2), (0.2, 0.3))
-    told = DecodeSettings.of(frame_s=0.5, fields={"cycle_s": 0.3, "shown_s": shown_s, "locked": True}).fields
+    told = DecodeSettings(frame_s=0.5, fields={"cycle_s": 0.3, "shown_s": shown_s, "locked": True}).fields
     fields = told.in_cycles(0.5, 0.003)
     assert (fields.cycle, fields.row, fields.start) == (pytest.approx(0.6), pytest.approx(0.01), 0.0)
     np.testing.assert_allclose(fields.shown, [[0, 1 / 3], [1 / 3, 2 / 3], [2 / 3, 1]])

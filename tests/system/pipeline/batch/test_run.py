@@ -342,11 +342,12 @@ def test_another_first_picture_is_told_without_digests(pictures):
         decode_job(job)
 
 
-def test_a_bad_picture_that_is_copied_again_is_decoded(pictures, tmp_path):
+def test_a_bad_picture_that_is_copied_again_is_decoded(pictures, tmp_path, caplog):
     there, job = pictures
     whole = (there / "1.bmp").read_bytes()
     (there / "1.bmp").write_bytes(whole[:-5000])
     assert [bad.number for bad in decode_job(job).bad] == [1]
+    assert "pictures is bad: " in caplog.text
     (there / "1.bmp").write_bytes(whole)
     assert decode_job(job).bad == []
     fresh = replace(job, store=str(tmp_path / "fresh.zarr"))

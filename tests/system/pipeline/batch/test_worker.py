@@ -49,7 +49,7 @@ def test_only_what_is_missing_is_stored_and_bad_frames_are_told(job, tmp_path):
 def test_a_frame_knows_how_long_after_the_last_one_it_comes(job, tmp_path, monkeypatch):
     """Where colours come one after another; frame 4 is missing."""
     frame_s = float(np.diff(job.open().times.seconds).mean())
-    job = replace(job, settings=DecodeSettings.of(frame_s=frame_s, fields={"cycle_s": frame_s}))
+    job = replace(job, settings=DecodeSettings(frame_s=frame_s, fields={"cycle_s": frame_s}))
     job.make_store(job.open())
     (tmp_path / "film.zarr" / "frames" / "c.4.0.0.0").unlink()
     elapsed, decode = [], Decoder.decode

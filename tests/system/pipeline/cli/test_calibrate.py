@@ -306,7 +306,7 @@ def test_a_calibration_is_converted_for_a_camera_that_bins_a_part_of_its_sensor(
     assert Calibration.read(tmp_path / "coded.json").digest() == found.with_pattern(code="contrast2").digest()
     assert found.with_pattern(code="contrast2").pattern.cell_px > whole.with_pattern(code="contrast2").pattern.cell_px
     for wrong, message in (
-        (("--region", "32,16,300,208"), "sticks out of the 320x240 px"),
+        (("--region", "32,16,300,208"), "300x208 px at 32,16 stick out of the camera's 320x240"),
         (("--region", "32,16,0,208"), "give x,y,width,height in px"),
         (("--binning", "2"), "--binning is '2': give width and height"),
     ):

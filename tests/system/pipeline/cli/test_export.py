@@ -84,7 +84,7 @@ def test_frames_without_a_surface_end_with_3_and_nothing_else_with_1(command, tm
     ("arguments", "code", "message"),
     [
         (("export", "none.zarr", "--out", "meshes"), 1, "decode first"),
-        (("export", "none.zarr", "--out", "meshes", "--kind", "fbx"), 2, "Invalid value"),
+        (("export", "none.zarr", "--out", "meshes", "--kind", "fbx"), 1, "'fbx' is no format: choose one of ply, obj"),
     ],
 )
 def test_mistakes_are_one_line(command, tmp_path, arguments, code, message):

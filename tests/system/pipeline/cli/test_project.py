@@ -103,7 +103,7 @@ def test_a_pattern_for_a_display_has_its_size(command, tmp_path):
     response = np.tile(np.linspace(0, 1, 256), (3, 1))
     rig.model_copy(update={"projector": other, "response": response}).write(tmp_path / "rig.json")
     said = command("pattern", "p.png", "--display", "0", "--calibration", "rig.json")[2]
-    assert "display 0 has 1024x768 px, the calibrated projector 1920x1080" in said
+    assert "display 0 is 1024x768 but the calibrated projector is 1920x1080" in said
     assert not (tmp_path / "p.png").exists()
 
 

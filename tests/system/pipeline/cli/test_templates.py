@@ -40,7 +40,7 @@ def test_what_is_uncommented_has_its_default():
     given = [line[2:] for line in lines if " = " in line and line[2:].split(" = ")[0] in DecodeSettings.model_fields]
     set_ones = [line for line in given if not line.endswith("(left out)")]
     assert len(given) == len(DecodeSettings.model_fields) and len(set_ones) >= 3
-    assert DecodeSettings.of(**tomllib.loads("\n".join(set_ones))) == DecodeSettings()
+    assert DecodeSettings(**tomllib.loads("\n".join(set_ones))) == DecodeSettings()
 
 
 def test_options_overrule_the_file_and_leave_the_rest():

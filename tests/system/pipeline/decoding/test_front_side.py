@@ -74,11 +74,11 @@ def test_a_clear_side_has_a_lead():
 def test_larger_is_farther_on_either_side_of_the_projector(cpu, scene, stripes, opposite):
     truth = simulated(stripes, opposite=opposite, scene=scene)
     settings = {"stripes": stripes, "crosstalk_matrix": TYPICAL_CROSSTALK}
-    frame = Decoder(DecodeSettings.of(**settings), arch="cpu").decode(truth.image)
+    frame = Decoder(DecodeSettings(**settings), arch="cpu").decode(truth.image)
     assert frame.front_known and nearness(frame, truth) > 0
     sides = ("above", "below") if stripes == "horizontal" else ("left", "right")
     for side, right in zip(sides, (not opposite, opposite), strict=True):
-        stated = Decoder(DecodeSettings.of(**settings, projector_side=side), arch="cpu").decode(truth.image)
+        stated = Decoder(DecodeSettings(**settings, projector_side=side), arch="cpu").decode(truth.image)
         assert stated.front_known and (nearness(stated, truth) > 0) == right
 
 
@@ -114,6 +114,6 @@ def test_a_calibrated_frame_asks_no_rims(cpu):
 
 def test_a_side_along_the_stripes_tells_no_depth():
     with pytest.raises(SettingsError, match="tell depth only with a projector above or below"):
-        DecodeSettings.of(projector_side="left")
+        DecodeSettings(projector_side="left")
     with pytest.raises(SettingsError, match="tell depth only with a projector left or right"):
-        DecodeSettings.of(stripes="vertical", projector_side="above")
+        DecodeSettings(stripes="vertical", projector_side="above")

@@ -215,6 +215,12 @@ def test_a_calibration_follows_the_part_of_the_sensor_that_is_read_out(size_px, 
     assert again.digest() == found.cropped(1, 2, (9, 7)).digest()
 
 
+@pytest.mark.parametrize("place", [(0, 0, (48, 64)), (60, 0, (5, 5)), (-1, 0, (5, 5))])
+def test_a_part_that_sticks_out_of_the_frame_is_refused(place):
+    with pytest.raises(CalibrationError, match=r"stick out of the camera's 64x48 .width x height"):
+        WHOLE.cropped(*place)
+
+
 @pytest.mark.parametrize(
     ("size_px", "now", "key"),
     [

@@ -60,7 +60,14 @@ def test_what_is_no_frame(cpu, image, error, message):
 def test_sizes_that_contradict(cpu):
     with pytest.raises(CalibrationError, match="frame is 30x20 but the calibration is for 128x96"):
         reader(simulated_rig((128, 96)).geometry()).read(LEVELS)
-    with pytest.raises(ShapeError, match="frame is 30x20 but the reference is 20x30"):
+    turned = (
+        r"frame is 30x20 but the calibration is for 20x30 .width x height, which are swapped.: turn it as the camera"
+    )
+    with pytest.raises(CalibrationError, match=turned):
+        reader(simulated_rig((20, 30)).geometry()).read(LEVELS)
+    with pytest.raises(
+        ShapeError, match=r"frame is 30x20 but the reference is 20x30 .width x height, which are swapped.$"
+    ):
         reader(None, np.zeros((30, 20), np.float32)).read(LEVELS)
 
 

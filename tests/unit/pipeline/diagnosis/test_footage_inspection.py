@@ -167,7 +167,7 @@ def test_motion_of_a_third_of_a_cycle_spoils(motion_rad, grade):
 def test_motion_costs_mm_per_speed_where_rows_and_colours_come_in_turn():
     """At the speed that is seen, or at 100 mm/s; the exposure needs a scale."""
     timed = {"frame_s": 1 / 30, "row_s": 2e-5, "fields": {"cycle_s": 1 / 60}}
-    seen = FootageEvidence(DecodeSettings.of(**timed), motion_rad=[0.5])
+    seen = FootageEvidence(DecodeSettings(**timed), motion_rad=[0.5])
 
     def costs(evidence: FootageEvidence, scale: Scale | None) -> dict[str, str]:
         return {finding.topic: finding.found for finding in cost_findings(evidence, LOSSLESS, GOOD, scale, 1001)}

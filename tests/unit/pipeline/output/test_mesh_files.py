@@ -36,7 +36,7 @@ def test_points_alone_are_no_surface(tmp_path: Path, kind: str) -> None:
 
 
 def test_an_unknown_suffix_names_the_known_ones(tmp_path: Path, mesh: Mesh) -> None:
-    with pytest.raises(OutputError, match=r"'\.xyz', use one of \.ply, \.obj, \.stl, \.glb, \.wrl"):
+    with pytest.raises(OutputError, match=r"is no format of meshes, use \.ply, \.obj, \.stl, \.glb, \.wrl"):
         write_mesh(mesh, tmp_path / "mesh.xyz")
 
 
