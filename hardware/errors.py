@@ -20,4 +20,14 @@ class BurstError(Error, ConnectionError):
 
 
 class RigError(Error, ValueError):
-    """What the rig is asked for is impossible: its file is wrong, or its times contradict each other."""
+    """What the rig is asked for is impossible: its file is wrong, or its times contradict each other.
+
+    Examples
+    --------
+    >>> timing = dict(period_s=0.02, frames=4, camera_delay_s=0.001)
+    >>> parts = dict(trigger=dict(driver="simulated"), camera=dict(driver="simulated", exposure_s=-0.008))
+    >>> colorphase.RigSettings(timing=timing, **parts)
+    Traceback (most recent call last):
+        ...
+    hardware.errors.RigError: camera.exposure_s: must be a number above 0 and at most 3600, got -0.008
+    """

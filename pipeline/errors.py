@@ -4,19 +4,52 @@ from tikernels.errors import Error
 
 
 class SettingsError(Error, ValueError):
-    """A setting is unknown, out of range, or contradicts another."""
+    """A setting is unknown, out of range, or contradicts another.
+
+    Examples
+    --------
+    >>> colorphase.DecodeSettings(smoothing_px=4)
+    Traceback (most recent call last):
+        ...
+    pipeline.errors.SettingsError: smoothing_px: must be 0 or odd, got 4
+    """
 
 
 class CalibrationError(Error, ValueError):
-    """A calibration is incomplete, inconsistent, or of another image size."""
+    """A calibration is incomplete, inconsistent, or of another image size.
+
+    Examples
+    --------
+    >>> rig = colorphase.simulated_rig((160, 120))
+    >>> colorphase.Decoder(calibration=rig, arch="cpu").decode(np.zeros((480, 640, 3), np.uint8))
+    Traceback (most recent call last):
+        ...
+    pipeline.errors.CalibrationError: frame is 640x480 but the calibration is for 160x120...
+    """
 
 
 class FootageError(Error, OSError):
-    """An image or a video cannot be read, or holds no values that can be decoded."""
+    """An image or a video cannot be read, or holds no values that can be decoded.
+
+    Examples
+    --------
+    >>> colorphase.open_footage("none.mkv")
+    Traceback (most recent call last):
+        ...
+    pipeline.errors.FootageError: cannot read none.mkv: there is no such file
+    """
 
 
 class OutputError(Error, OSError):
-    """A result cannot be written where it was asked for."""
+    """A result cannot be written where it was asked for.
+
+    Examples
+    --------
+    >>> colorphase.simulated_rig().write("none/rig.json")
+    Traceback (most recent call last):
+        ...
+    pipeline.errors.OutputError: cannot write none/rig.json: its folder does not exist: create the folder first
+    """
 
 
 class DamageError(Error, OSError):

@@ -173,9 +173,7 @@ class FrameFields(ABC):
         Raises
         ------
         OutputError
-            It cannot be written there.
-        SettingsError
-            There is no such format, or not for one frame.
+            It cannot be written there, or not in such a format.
         FootageError
             The format holds places in mm, and there are none.
         """

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from pipeline.calibration import Calibration
 from pipeline.decoding.frame import DecodedFrame
 from pipeline.decoding.frame_fields import FrameFields
-from pipeline.errors import FootageError, SettingsError
+from pipeline.errors import FootageError, OutputError, SettingsError
 from pipeline.files import write_atomically
 from pipeline.output.formats.table import encode_as, format_of
 from pipeline.output.mesh import Mesh, flag_counts
@@ -160,9 +160,12 @@ def _save_frame(frame: FrameFields, path: Path) -> None:
     if kind == "zarr" and isinstance(frame, DecodedFrame):
         write_store(path, frame)
         return
-    form = format_of(kind)
+    try:
+        form = format_of(kind)
+    except SettingsError as error:
+        raise OutputError(f"cannot write {path}: {error}") from None
     if form.holds_all_frames:
-        raise SettingsError(f"{form.meaning} holds all frames of a film: choose another format for one frame")
+        raise OutputError(f"cannot write {path}: {form.meaning} holds all frames of a film")
     if form.encode_mesh is not None:
         write_mesh(frame_mesh(frame), path)
         return

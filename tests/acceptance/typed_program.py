@@ -15,31 +15,40 @@ from colorphase import (
     CalibrationError,
     CameraError,
     ClusterError,
+    Crop,
     DamageError,
     DecodedFrame,
+    DecodeProgress,
     Decoder,
     DecodeSettings,
+    DecodeSummary,
     DecodeWarning,
     DeviceNotReady,
     Error,
+    Footage,
     FootageError,
+    FrameFields,
     LightEstimate,
     LiveDecoder,
     Mesh,
+    MeshOptions,
     OutputError,
     PairedFrame,
     PixelFormat,
     ProjectorError,
     Recorder,
     RenderError,
+    ResultFrame,
     Rig,
     RigError,
     RigSettings,
+    RigState,
     SettingsError,
     ShapeError,
     SimulatedFrame,
     SimulationSettings,
     SlowStart,
+    StoredAs,
     StoredResult,
     TriggerError,
     UserUnwrapper,
@@ -95,7 +104,8 @@ def decode(truth: SimulatedFrame, path: Path) -> float:
     decoder = Decoder(settings, calibration, arch="cpu", unwrapper=None)
     frame: DecodedFrame = decoder.decode(truth.image)
     frame = decoder.decode(truth.image, previous=frame)
-    light: LightEstimate | None = decoder.light
+    state: RigState = decoder.state
+    light: LightEstimate | None = state.light
     if light is not None:
         print(light.crosstalk_matrix.shape)
     mesh: Mesh = colorphase.frame_mesh(frame)
@@ -123,12 +133,37 @@ def capture(path: Path) -> Iterator[tuple[int, tuple[int, ...]]]:
                 yield paired.pulse, paired.image.shape
 
 
+def describe(frame: FrameFields) -> str:
+    """Say where any frame comes from, and how far its median pixel is."""
+    depth: npt.NDArray[np.float32] = frame.range_image
+    points: npt.NDArray[np.float32] | None = frame.points
+    mask: npt.NDArray[np.bool_] = frame.mask
+    known = mask.sum() if points is not None else 0
+    return f"{frame.number} at {frame.time_s} s: {np.nanmedian(depth)} {frame.range_unit}, {known} points"
+
+
+def read(path: Path, out: Path) -> list[str]:
+    """Decode footage frame by frame, then into a store."""
+    heard: list[DecodeProgress] = []
+    footage: Footage
+    with colorphase.open_footage(path) as footage:
+        images: list[tuple[int, ...]] = [image.shape for image in footage.images(0, 2)]
+        said = [describe(frame) for frame in own().decode_all(footage, on_bad="skip")]
+    summary: DecodeSummary = colorphase.decode_footage(
+        path, out, crop=Crop(0, 0, 64, 64), stored_as=StoredAs(bits=8), progress=heard.append
+    )
+    return [*said, str(images), f"{summary.n_frames} frames, {len(heard)} reports"]
+
+
 def follow(path: Path, size_px: tuple[int, int]) -> None:
     """Decode live, and look at a result that is stored."""
     live = LiveDecoder(DecodeSettings(), None, PixelFormat("rgb"), size_px)
     live.close()
     stored = StoredResult(path)
-    depth = [float(np.nanmean(stored.read("points", number)[..., 2])) for number in stored.done]
-    print(depth, stored.mesh(0).unit)
+    frames: list[ResultFrame] = stored[1:]
+    depth = [float(np.nanmean(frame.range_image)) for frame in frames]
+    print(
+        depth, len(stored), colorphase.frame_mesh(stored[0], MeshOptions(max_triangles=1000)).unit, describe(stored[0])
+    )
     image = colorphase.read_image(path)
     print(image.shape)

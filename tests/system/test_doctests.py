@@ -7,7 +7,6 @@ import pytest
 
 import colorphase
 
-OPTIONS = doctest.ELLIPSIS | doctest.IGNORE_EXCEPTION_DETAIL
 pytestmark = pytest.mark.usefixtures("cpu")
 
 
@@ -18,8 +17,12 @@ def test_the_example_of(name, tmp_path, monkeypatch):
     thing = getattr(colorphase, name)
     tests = doctest.DocTestFinder(recurse=True).find(thing, name, globs={"colorphase": colorphase, "np": np})
     examples = [example for test in tests for example in test.examples]
-    assert any(character.isdigit() for example in examples for character in example.want), f"{name} has no example"
+    shows_a_number = any(character.isdigit() for example in examples for character in example.want)
+    if not (
+        isinstance(thing, type) and issubclass(thing, Exception)
+    ):  # of errors, many need an instrument that is broken
+        assert shows_a_number, f"{name} has no example that shows a number"
     said = []
     for test in tests:
-        doctest.DocTestRunner(optionflags=OPTIONS).run(test, out=said.append)
+        doctest.DocTestRunner(optionflags=doctest.ELLIPSIS).run(test, out=said.append)
     assert not said, "".join(said)

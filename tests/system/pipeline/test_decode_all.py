@@ -173,7 +173,7 @@ def test_a_frame_is_saved_by_its_suffix(rig, images, tmp_path, suffix):
         stored = colorphase.StoredResult(path)[0]
         np.testing.assert_array_equal(stored.points, frame.points)
         stored.save(tmp_path / "again.ply")
-        with pytest.raises(colorphase.SettingsError, match="'zarr' is no format: choose one of ply"):
+        with pytest.raises(colorphase.OutputError, match="'zarr' is no format: choose one of ply"):
             stored.save(tmp_path / "again.zarr")
     elif suffix in ("xyz", "csv", "npz"):
         assert path.stat().st_size > 10_000
@@ -188,7 +188,7 @@ def test_what_cannot_be_saved_is_said(rig, images, tmp_path):
         ("face.stp", "'stp' is no format: choose one of ply"),
         ("face.mcap", "holds all frames of a film"),
     ):
-        with pytest.raises(colorphase.SettingsError, match=message):
+        with pytest.raises(colorphase.OutputError, match=message):
             frame.save(tmp_path / name)
     with pytest.raises(colorphase.FootageError, match="in rad, not in mm: decode with a calibration"):
         frame.save(tmp_path / "face.pcd")
