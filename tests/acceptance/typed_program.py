@@ -162,8 +162,7 @@ def follow(path: Path, size_px: tuple[int, int]) -> None:
     stored = StoredResult(path)
     frames: list[ResultFrame] = stored[1:]
     depth = [float(np.nanmean(frame.range_image)) for frame in frames]
-    print(
-        depth, len(stored), colorphase.frame_mesh(stored[0], MeshOptions(max_triangles=1000)).unit, describe(stored[0])
-    )
+    mesh = colorphase.frame_mesh(stored[0], MeshOptions(max_triangles=1000))
+    print(depth, len(stored), mesh.unit, describe(stored[0]))
     image = colorphase.read_image(path)
     print(image.shape)
