@@ -22,7 +22,7 @@ class RigState:
     >>> second = colorphase.Decoder(arch="cpu")
     >>> second.state = first.state
     >>> second.state.light, second.state.code
-    (<LightEstimate: leaks of up to 17.0%, a ripple of 0.2 rad without it, reliable>, 'contrast')
+    (<LightEstimate: leaks up to 17.0%, ripple 0.2 rad, reliable>, 'contrast')
     """
 
     light: LightEstimate | None = None

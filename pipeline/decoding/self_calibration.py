@@ -70,7 +70,7 @@ class LightEstimate(Model):
     >>> decoder = colorphase.Decoder(arch="cpu")
     >>> frame = decoder.decode(colorphase.simulate_frame(colorphase.simulated_rig()).image)
     >>> decoder.state.light
-    <LightEstimate: leaks of up to 17.0%, a ripple of 0.22 rad without it, reliable>
+    <LightEstimate: leaks up to 17.0%, ripple 0.22 rad, reliable>
     """
 
     crosstalk_matrix: Matrix3
@@ -98,7 +98,7 @@ class LightEstimate(Model):
     def __repr__(self) -> str:
         leak = (self.crosstalk_matrix - np.diag(np.diag(self.crosstalk_matrix))).max()
         doubt = "reliable" if self.reliable else "not reliable"
-        return f"<LightEstimate: leaks of up to {leak:.1%}, a ripple of {self.ripple:.2g} rad without it, {doubt}>"
+        return f"<LightEstimate: leaks up to {leak:.1%}, ripple {self.ripple:.2g} rad, {doubt}>"
 
     __str__ = __repr__
 

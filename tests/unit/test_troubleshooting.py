@@ -8,7 +8,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "troubleshooting.md"
 #: Texts of these rooms that are no warnings: how fields are rounded, and what labels and figures say of them.
-NO_WARNINGS = {ROOT / "pipeline" / "decoding" / name for name in ("fields.py", "labels.py", "field_plot.py")}
+NO_WARNINGS = {ROOT / "pipeline" / "decoding" / name for name in ("fields.py", "labels.py", "footage_light.py")}
 
 
 def parts_of(node: ast.AST) -> list[str] | None:
