@@ -572,6 +572,6 @@ class Decoder:
         # A few per cent of period change nothing; the buffers stay while it drifts.
         period_px = float(2 ** (np.round(8 * np.log2(period_px)) / 8))
         if self._workspace is None or not self._workspace.fits(frame.shape, period_px):
-            _log.info("buffers for %d rows and %d columns; kernels that are not on the disk are compiled", *frame.shape)
+            _log.info("buffers for %dx%d px", *frame.shape[::-1])
             self._workspace = Workspace(*frame.shape, period_px, self._setup.smoothing_pairs, self._given)
         return self._workspace

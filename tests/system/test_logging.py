@@ -42,7 +42,7 @@ def test_a_first_frame_logs_that_it_prepares(cpu, caplog):
     decoder = Decoder(DecodeSettings(), truth.rig, arch="cpu")
     frame = decoder.decode(truth.image)
     assert [record.message.partition(";")[0] for record in caplog.records if record.name == "colorphase.decoder"] == [
-        "buffers for 240 rows and 320 columns"
+        "buffers for 320x240 px"
     ]
     caplog.clear()
     decoder.decode(truth.image, previous=frame)
