@@ -191,7 +191,9 @@ def _shown(
     code, patches, every = reader.levels_now, len(cells.row), range(int(offsets[0]), int(offsets[-1]) + 1)
     evidence = weigh_offsets(
         shares, blocks.order[own], level - usual, sigma, columns, code, every, patches, _MAX_DEVIATION
-    ).only(offsets - every.start)
+    )
+    if len(offsets) < len(every):
+        evidence = evidence.only(offsets - every.start)
     bright = np.log(blocks.brightness[own])[shares[0]]
     # Under the code of cycles all blocks of a cycle show the same.
     most_columns = np.inf if reader.code.cell_px is not None else OF_CYCLE / (_COUNTS * BLOCKS)
