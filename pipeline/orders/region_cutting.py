@@ -48,8 +48,8 @@ _LEAST, _CANDIDATES, _OFF_ALIKE = 10.0, 12, 2.0
 _FULL_SUPPORT = 300
 # What a difference of labels costs across a contact of full support, in variances, and the least share of it.
 _LABEL_COST, _LEAST_SUPPORT = 3.0, 0.05
-# How often a region is labelled anew at most.
-_ROUNDS = 8
+# How often a region is labelled anew at most: more often changes nothing before the hand of `films.py`.
+_ROUNDS = 4
 
 
 def cut_regions(
