@@ -300,19 +300,20 @@ class CodeReader:
             values = np.take(values, np.argsort(values[Row.ORDER], kind="stable"), axis=1)
         return self._fit(values, np.append(offsets, 0), np.append(np.full(len(offsets), self._gamma), EVEN))
 
-    def flattened(self, which: Integers, offset: int, around: tuple[int, int]) -> FloatArray:
-        """Return the contrasts (n,) of a part's blocks as if its factor were the same all over.
+    def flattened(self, which: Integers, offsets: Integers | int, around: tuple[int, int]) -> FloatArray:
+        """Return the contrasts (n,) of a part's blocks, at these offsets (n,), as if its factor were the same all over.
 
         The mean deviation from the code of the blocks about as bright that lie in so many blocks and rows of patches
         around each is taken off, too. The share of ambient light is that of blocks as bright as most of the part:
         fitted to a wall's shading, it would be wrong for dark paint in front.
         """
-        read, part = self.read(which), self._part(which)
+        part, none = self._part(which), np.zeros(1, np.int64)
         values = part.values.copy()
+        values[Row.ORDER] += offsets
+        terms = self._fit(_thinned(values, _SOME), none).terms
         usual = np.quantile(values[Row.DARKER], (_UNUSUAL, 1 - _UNUSUAL))
         values[Row.DARKER] = np.clip(values[Row.DARKER], *usual)
-        terms = read.terms[:, offset - read.first, None]
-        return np.asarray(self._flat(replace(part, values=values), np.array([offset]), terms, around, 1)[0], np.float64)
+        return np.asarray(self._flat(replace(part, values=values), none, terms, around, 1)[0], np.float64)
 
     def _flat(
         self, part: PartBlocks, offsets: Integers, terms: FloatArray, around: tuple[int, int], step: int

@@ -2,7 +2,8 @@
 
 A region is read as if it were one part (`code_evidence`), and what its surfaces have of their own is taken off. Where
 the blocks in a window then show another offset, its patches are labelled with it
-(`tikernels.order_evidence.offset_labelling`).
+(`tikernels.order_evidence.offset_labelling`). Pieces that surely show an offset when they are read by themselves tell
+what the region's surfaces have of their own, and the labels are found anew.
 """
 
 from typing import NamedTuple
@@ -13,7 +14,7 @@ import numpy.typing as npt
 from pipeline.contrast_code import CYCLES
 from pipeline.models import FloatArray
 from pipeline.orders.code_evidence import OF_CYCLE, CodeReader
-from pipeline.orders.posterior import Integers, OrderRange
+from pipeline.orders.posterior import MAX_ABSOLUTE_ERROR, Integers, OrderRange
 from pipeline.robust import robust_sigma
 from tikernels.order_evidence.contrast_reading import BLOCKS
 from tikernels.order_evidence.offset_labelling import (
@@ -47,6 +48,8 @@ _LEAST, _CANDIDATES, _OFF_ALIKE = 10.0, 12, 2.0
 _FULL_SUPPORT = 300
 # What a difference of labels costs across a contact of full support, in variances, and the least share of it.
 _LABEL_COST, _LEAST_SUPPORT = 3.0, 0.05
+# How often a region is labelled anew at most: more often changes nothing before the hand of `films.py`.
+_ROUNDS = 4
 
 
 def cut_regions(
@@ -98,15 +101,12 @@ def cut_regions(
         shares = number[blocks.block[shares]], holder, blocks.share[shares]
         row, column = np.divmod(graph.first[patches], width)
         cells = Cells.of(row // CELL_HEIGHT, column // CELL_WIDTH)
-        shown = _shown(reader, own, shares, offsets, cells)
-        labels = _labels(shown, ends, support)
-        if labels is None:
+        labels, pieces = _cut(reader, own, shares, offsets, cells, ends, support)
+        is_own = labels == reader.read(own).best
+        if is_own.all():
             continue
-        whole = labels[ends[0]] == labels[ends[1]]
-        pieces = connected_parts(ends[:, whole], len(patches))
         roots[patches] = patches[pieces]
-        own_offset = np.bincount(pieces[labels == 0], graph.pixels[patches][labels == 0], len(patches))
-        main[region] = patches[own_offset.argmax()]
+        main[region] = patches[np.bincount(pieces[is_own], graph.pixels[patches][is_own], len(patches)).argmax()]
     return roots, main
 
 
@@ -117,39 +117,87 @@ def _held_by(owners: npt.NDArray[np.integer], regions: Integers) -> list[Integer
     return [order[first:last] for first, last in zip(firsts, lasts, strict=True)]
 
 
+def _cut(
+    reader: CodeReader,
+    own: Integers,
+    held: tuple[Integers, Integers, FloatArray],
+    offsets: range,
+    cells: Cells,
+    ends: Integers,
+    support: FloatArray,
+) -> tuple[Integers, Integers]:
+    """Return the offset of each of a region's patches (P,), and its piece, by the smallest patch of that (P,).
+
+    Where the region's offset is not a surface's, the code's own steps are taken off as if they were the factor's, and
+    what is left shows any offset. Read by itself, a piece of that surface shows the right one. Only such offsets are
+    looked for then, with the factor as it is where the patches have the offsets found last. What the first labels cut
+    off, and no piece explains, stays apart.
+    """
+    best, count, holder = reader.read(own).best, len(cells.row), np.empty(len(own), np.int64)
+    holder[held[0]] = held[1]
+
+    def find(at: Integers, named: Integers) -> tuple[Integers, Integers]:
+        shown = _shown(reader, own, at[holder], held, named, cells)
+        labels = named[_labels(shown, ends, support)]
+        return labels, connected_parts(ends[:, labels[ends[0]] == labels[ends[1]]], count)
+
+    at = np.full(count, best)
+    first, pieces = find(at, np.array(offsets))
+    numbers = np.unique(pieces[first != best])
+    for number, blocks in zip(numbers, _held_by(pieces[holder], numbers), strict=True):
+        if len(blocks) >= _MIN_BLOCKS:
+            # As the parts that pieces become are: either end may lie anywhere.
+            alone = reader.read(own[blocks]).posterior(0.0, 2 * float(np.log(reader.cycles)), reader.trust)
+            if alone.error(alone.best) < MAX_ABSOLUTE_ERROR:
+                at[pieces == number] = alone.best
+    named = np.union1d(at, best)
+    for _ in range(_ROUNDS if len(named) > 1 else 0):
+        before, (at, _) = at, find(at, named)
+        if np.array_equal(before, at):
+            break
+    labels = np.where(at == best, first, at)
+    return labels, connected_parts(ends[:, labels[ends[0]] == labels[ends[1]]], count)
+
+
 class _Shown(NamedTuple):
-    """The evidence of a region's patches for each offset."""
+    """The evidence of a region's patches for each of some offsets."""
 
     evidence: OffsetEvidence
-    own: int  # the region's offset, counted from the first one
+    own: int  # number of the region's offset
     window: Integers  # (P,) number of the window or piece that shows another offset; -1: none
-    named: Integers  # (K,) the offset that each of these shows, the surest first
+    named: Integers  # (K,) number of the offset that each of these shows, the surest first
     gain: npt.NDArray[np.float32]  # (K,) by how much that is better, in variances
 
 
 def _shown(
     reader: CodeReader,
     own: Integers,
+    at: Integers,
     held: tuple[Integers, Integers, FloatArray],
-    offsets: range,
+    offsets: Integers,
     cells: Cells,
 ) -> _Shown:
-    """Weigh the blocks of a region, less its factor, against the code at each offset, and look for other ones."""
-    blocks, best = reader.blocks, reader.read(own).best
-    level = reader.flattened(own, best, _AROUND)
-    departs = level - reader.expected(own, blocks.order[own] + best)
+    """Weigh the blocks of a region against the code at some offsets, and look for others than the region's.
+
+    The factor is taken off as it is where the blocks have the offsets `at` (n,).
+    """
+    blocks = reader.blocks
+    level = reader.flattened(own, at, _AROUND)
+    departs = level - reader.expected(own, blocks.order[own] + at)
     usual = np.median(departs)
     sigma = np.sqrt(blocks.variance[own] + max(_MIN_SIGMA, robust_sigma(departs - usual)) ** 2)
     columns = reader.columns[own] / np.float32(reader.code.repeats_px)
     shares = held[0], held[1], _COUNTS * held[2]
-    code, patches = reader.levels_now, len(cells.row)
+    code, patches, every = reader.levels_now, len(cells.row), range(int(offsets[0]), int(offsets[-1]) + 1)
     evidence = weigh_offsets(
-        shares, blocks.order[own], level - usual, sigma, columns, code, offsets, patches, _MAX_DEVIATION
+        shares, blocks.order[own], level - usual, sigma, columns, code, every, patches, _MAX_DEVIATION
     )
+    if len(offsets) < len(every):
+        evidence = evidence.only(offsets - every.start)
     bright = np.log(blocks.brightness[own])[shares[0]]
     # Under the code of cycles all blocks of a cycle show the same.
     most_columns = np.inf if reader.code.cell_px is not None else OF_CYCLE / (_COUNTS * BLOCKS)
-    number = best - offsets.start
+    number = int(np.searchsorted(offsets, reader.read(own).best))
     found = find_other_offsets(
         evidence,
         cells,
@@ -163,14 +211,14 @@ def _shown(
     return _Shown(evidence, number, *found)
 
 
-def _labels(shown: _Shown, ends: Integers, support: FloatArray) -> Integers | None:
-    """Label a region's patches with the offsets that their blocks name, 0 for the region's own; None: all have that.
+def _labels(shown: _Shown, ends: Integers, support: FloatArray) -> Integers:
+    """Label a region's patches with the numbers of the offsets that their blocks name.
 
     The border of a window costs at most half of what the window shows: a surface that is one patch wide has as many
     contacts with what is behind it as it has blocks.
     """
     if len(shown.named) == 0:
-        return None
+        return np.full(len(shown.window), shown.own)
     candidates = np.append(shown.own, list(dict.fromkeys(shown.named.tolist()))[:_CANDIDATES])
     alone = shown.evidence.of(candidates)
     first = pool_evidence(alone, ends, support).argmin(axis=1)
@@ -183,5 +231,4 @@ def _labels(shown: _Shown, ends: Integers, support: FloatArray) -> Integers | No
     total = np.bincount(beside.ravel() + 1, np.tile(costs[border], 2), len(shown.named) + 1)
     share = np.append(1.0, np.minimum(1.0, shown.gain / (2 * np.maximum(total[1:], _LABEL_COST))))
     costs[border] *= share[beside + 1].min(axis=0)
-    labels = settle_labels(alone, first, ends, costs)
-    return None if (labels == 0).all() else labels
+    return np.asarray(candidates[settle_labels(alone, first, ends, costs)], np.int64)

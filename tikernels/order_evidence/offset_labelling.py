@@ -81,6 +81,13 @@ class OffsetEvidence(NamedTuple):
     offsets: int
     """How many there are."""
 
+    def only(self, offsets: npt.NDArray[np.integer]) -> "OffsetEvidence":
+        """Return the evidence of some offsets (n,), counted from the first one."""
+        to = np.arange(len(offsets))
+        sums = np.zeros((len(self.sums), -(-len(to) // LANES), 2, LANES), np.float32)
+        sums[:, to // LANES, :, to % LANES] = self.sums[:, offsets // LANES, :, offsets % LANES]
+        return self._replace(sums=sums, offsets=len(to))
+
     def of(self, offsets: npt.NDArray[np.integer]) -> npt.NDArray[np.float32]:
         """Return the squared deviations (P, n) at some offsets, counted from the first one."""
         return np.ascontiguousarray(self.sums[:, offsets // LANES, 0, offsets % LANES])

@@ -34,6 +34,15 @@ def test_one_surface_stays_whole(name):
     assert not roots.any() and (main == -1).all()
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_large_surface_is_cut_off_in_one_piece(name, seed):
+    """Its own steps are not taken for the factor, though it is larger than what that is averaged over."""
+    reader = reader_of(name, 8, 60, [15] * 36 + [19] * 24, gamma=1.0, noise=0.02, seed=seed)
+    side = cut(reader, 8, 60)[0]
+    left, right = side[0, 0], side[0, -1]
+    assert (side[:, :36] == left).mean() > 0.95 and (side[:, 36:] == right).mean() > 0.95 and left != right
+
+
 @pytest.mark.parametrize("of_depth", [False, True])
 def test_what_the_projector_does_not_show_is_not_looked_for(name, of_depth):
     """The picture holds the left surface's orders alone. A depth range, which may be wrong, leaves the cut alone."""
