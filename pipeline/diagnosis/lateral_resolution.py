@@ -98,8 +98,8 @@ def measure_transfer(
     transfer, sigma = (values * _RAD_PER_MM / _SLOPE for values in (amplitudes, np.sqrt(noise.mean(axis=0))))
     if not _LIMIT < transfer[0] < _MOST:
         raise CalibrationError(
-            f"{transfer[0]:.0%} of the height of corrugations {PERIODS_MM[0]:g} mm long is seen: show the corrugated "
-            "plate of docs/certify.md alone; if it is that, the lateral resolution is coarser than its longest period"
+            f"{transfer[0]:.0%} of the height of corrugations {PERIODS_MM[0]:g} mm long is seen: show the plate of "
+            "docs/certify.md, its ridges as asked for; if this is so, the lateral resolution is coarser than they are"
         )
     lists = (tuple(values.tolist()) for values in (PERIODS_MM, transfer, sigma))
     return LateralResolution(*_limit_mm(transfer, sigma), predicted_mm, *lists)
