@@ -41,12 +41,15 @@ def certify(
     rig: str | None = None,
     calibration: Path | None = None,
     distance_mm: Annotated[float | None, Parameter(validator=above_zero)] = None,
+    relief: Annotated[bool, Parameter(negative="")] = False,
     out: Path | None = None,
     settings: SettingsFile = None,
     arch: Arch = "auto",
     force: Replace = False,
 ) -> None:
     """Certify a rig by a ball bar and a plate, each in seven positions, in the words of VDI/VDE 2634 Part 2.
+
+    Pictures of a corrugated plate (docs/certify.md) measure the lateral resolution, too.
 
     With --rig it says where to hold them, and takes the pictures that the folder lacks, each when the artefact has been
     still for 2 s, or Enter is pressed. Stopped at any time, it goes on where it was when it is called again.
@@ -56,8 +59,8 @@ def certify(
     Parameters
     ----------
     pictures
-        Folder with the pictures bar-1 to bar-7 and plane-1 to plane-7, taken under the pattern that colorphase pattern
-        --code contrast2 --calibration writes.
+        Folder with the pictures bar-1 to bar-7 and plane-1 to plane-7, and relief-1 and relief-2 if there is a
+        corrugated plate, taken under the pattern that colorphase pattern --code contrast2 --calibration writes.
     diameter_mm
         The balls' diameter.
     spacing_mm
@@ -70,9 +73,12 @@ def certify(
         The rig's calibration; left out, the one that the rig's file names.
     distance_mm
         The distance of the measuring volume's middle; left out, where the axes of camera and projector meet.
+    relief
+        Take the pictures of a corrugated plate, too.
     out
         The JSON file to write.
     """
+    from pipeline.calibration.captures import captured_files
     from pipeline.decoding.footage_light import with_transfer_of
     from pipeline.diagnosis.artefacts import BallBar, Volume, positions_in
     from pipeline.diagnosis.certificate import certify as measure
@@ -82,12 +88,14 @@ def certify(
         check_target(out, force=force)
     bar = BallBar(diameter_mm, spacing_mm)
     if rig is not None:
-        known = _capture(rig, pictures, bar, calibration, distance_mm)
+        known = _capture(rig, pictures, bar, calibration, distance_mm, relief=relief)
     elif calibration is not None:
         known = under_cells(Calibration.read(calibration))
     else:
         raise SettingsError("give --calibration, or --rig to take the pictures with")
-    source = open_pictures(pictures, positions_in(Volume.before(known.geometry(), distance_mm), bar))
+    relief = relief or any(name.startswith("relief-") for name in captured_files(pictures))
+    positions = positions_in(Volume.before(known.geometry(), distance_mm), bar, relief=relief)
+    source = open_pictures(pictures, positions)
     chosen, _ = with_transfer_of(source, read_settings(settings), known)
     found = measure(source, bar, reference_mm, known, chosen, arch, distance_mm)
     _show(found, bar)
@@ -97,7 +105,9 @@ def certify(
         say(f"wrote {out}")
 
 
-def _capture(rig: str, folder: Path, bar: "BallBar", path: Path | None, distance_mm: float | None) -> Calibration:
+def _capture(
+    rig: str, folder: Path, bar: "BallBar", path: Path | None, distance_mm: float | None, *, relief: bool
+) -> Calibration:
     """Take the pictures that a folder lacks; return the calibration, under the pattern that they show."""
     from hardware.drivers import SIMULATED
     from pipeline.acquisition.chosen_rig import read_rig
@@ -106,7 +116,7 @@ def _capture(rig: str, folder: Path, bar: "BallBar", path: Path | None, distance
     from pipeline.calibration.captures import captured_files
     from pipeline.cli.calibrate_capture import GUIDE
     from pipeline.cli.opened_studio import opened_studio
-    from pipeline.diagnosis.artefacts import Plate, Volume
+    from pipeline.diagnosis.artefacts import Plate, Relief, Volume
     from pipeline.diagnosis.certificate import under_cells
     from pipeline.pattern import make_pattern
     from pipeline.simulation import OWN_CALIBRATION
@@ -118,7 +128,8 @@ def _capture(rig: str, folder: Path, bar: "BallBar", path: Path | None, distance
     known = under_cells(Calibration.read(named))
     geometry = known.geometry()
     volume = Volume.before(geometry, distance_mm)
-    for artefact in (bar, Plate.within(volume)):
+    reliefs = (Relief.within(volume),) if relief else ()
+    for artefact in (bar, Plate.within(volume), *reliefs):
         positions = list(artefact.positions(volume))
         if all(position.name in captured_files(folder) for position in positions):
             continue
@@ -141,6 +152,13 @@ def _show(found: "Certificate", bar: "BallBar") -> None:
         table.add_row(figure.name, *(f"{value:.3f}" for value in values))
     stdout.print(table)
     say(f"noise of a point: {found.noise_mm:.3f} mm, {found.noise_predicted_mm:.3f} mm predicted")
+    for direction, lateral in found.lateral.items():
+        limit = f"under {lateral.periods_mm[-1]:g} mm"
+        if lateral.limit_mm is not None and lateral.sigma_mm is not None:
+            limit = f"{lateral.limit_mm:.2f} mm, U (k = 2) {2 * lateral.sigma_mm:.2f} mm"
+        say(f"lateral resolution {direction} the stripes: {limit}, {lateral.predicted_mm:.2f} mm predicted")
+    if not found.lateral:
+        say("lateral resolution: not measured, as there are no pictures of a corrugated plate")
     table = Table(f"uncertainty of {bar.spacing_mm:g} mm", "mm")
     for name, sigma_mm in found.budget_mm.items():
         table.add_row(name, f"{sigma_mm:.3f}")

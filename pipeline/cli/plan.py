@@ -105,6 +105,11 @@ def _rows(plan: RigPlan) -> list[tuple[str, str, str]]:
             f"{_number(plan.depth_sigma_mm)} mm",
             f"of a pixel; {_number(plan.dark_depth_sigma_mm)} mm where it is half as bright",
         ),
+        (
+            "lateral resolution",
+            f"{_number(plan.lateral_limit_mm)} mm",
+            "the period of a relief of which half is left, along and across the stripes",
+        ),
         *_motion_rows(plan),
         *_board_rows(plan),
     ]

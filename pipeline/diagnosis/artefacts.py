@@ -1,10 +1,10 @@
-"""Ball bar and plate, and the seven positions in the measuring volume that each is measured in.
+"""Ball bar and plate, and the seven positions in the measuring volume that each is measured in; and a corrugated plate.
 
 VDI/VDE 2634 Part 2 asks for a bar of two balls in seven positions, which differ in place and direction, and for a plane
 in six or more.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -20,6 +20,8 @@ _NEAR, _MIDDLE, _FAR = 0.92, 1.0, 1.1
 _RIM, _INWARDS = 0.05, np.linspace(1.0, 0.0, 21)
 # The plate's sides, as parts of the field where it is nearest.
 _PLATE = 0.7
+# A side of the corrugated plate, mm: twelve of its longest periods.
+_RELIEF_MM = 120.0
 # What leans does so by this angle: of lengths in depth it shows half.
 _LEAN = np.radians(30)
 _SLANT = np.array([np.cos(_LEAN) / np.sqrt(2)] * 2)  # a diagonal's x and y
@@ -33,16 +35,19 @@ _BARS = (
     ("falling to the right, its right end 30 deg farther", (_SLANT[0], _SLANT[1], np.sin(_LEAN)), (0, 0), _MIDDLE),
     ("level, in the middle, its right end 45 deg farther", (np.sqrt(0.5), 0, np.sqrt(0.5)), (0, 0), _MIDDLE),
 )
-# How a plate is held: in words, the rotation vector, in units of the lean, and the part of the distance.
+# How a plate is held: in words, the rotation vector, and the part of the distance.
 _PLATES = (
     ("facing the camera, at the middle distance", (0, 0, 0), _MIDDLE),
     ("facing the camera, near", (0, 0, 0), _NEAR),
     ("facing the camera, far", (0, 0, 0), _FAR),
-    ("its right edge 30 deg nearer", (0, 1, 0), _MIDDLE),
-    ("its left edge 30 deg nearer", (0, -1, 0), _MIDDLE),
-    ("its upper edge 30 deg nearer", (1, 0, 0), _MIDDLE),
-    ("its lower edge 30 deg nearer", (-1, 0, 0), _MIDDLE),
+    ("its right edge 30 deg nearer", (0, _LEAN, 0), _MIDDLE),
+    ("its left edge 30 deg nearer", (0, -_LEAN, 0), _MIDDLE),
+    ("its upper edge 30 deg nearer", (_LEAN, 0, 0), _MIDDLE),
+    ("its lower edge 30 deg nearer", (-_LEAN, 0, 0), _MIDDLE),
 )
+# How a corrugated plate is held, in words.
+_RELIEFS = tuple(f"facing the camera, its ridges {way} the stripes" for way in ("along", "at right angles to"))
+_Way = tuple[str, tuple[float, float, float], float]
 
 
 @dataclass(frozen=True)
@@ -173,15 +178,35 @@ class Plate:
 
     def positions(self, volume: Volume) -> Iterator[Position]:
         """Yield the seven positions of the plate."""
-        for k, (words, turns, part) in enumerate(_PLATES, start=1):
-            turn, place = _LEAN * np.array(turns), volume.middle_mm(part)
+        return self._held(volume, "plane", _PLATES)
+
+    def _held(self, volume: Volume, name: str, ways: Sequence[_Way]) -> Iterator[Position]:
+        for k, (words, turns, part) in enumerate(ways, start=1):
+            turn, place = np.array(turns, np.float64), volume.middle_mm(part)
             corners = self.outline_mm() @ cv2.Rodrigues(turn)[0].T + place
-            yield Position(f"plane-{k}", words, turn, place, volume.outline_px(corners))
+            yield Position(f"{name}-{k}", words, turn, place, volume.outline_px(corners))
 
 
-def positions_in(volume: Volume, bar: BallBar) -> list[Position]:
-    """Return the positions of a bar, and then those of the plate."""
-    return [*bar.positions(volume), *Plate.within(volume).positions(volume)]
+class Relief(Plate):
+    """A square plate whose height changes along its x axis; see `lateral_resolution`."""
+
+    @classmethod
+    def within(cls, volume: Volume) -> "Relief":
+        """Return the usual one, or as much of it as camera and projector see."""
+        side_mm = min(_RELIEF_MM, *Plate.within(volume).size_mm)
+        return cls(np.array([side_mm, side_mm]))
+
+    def positions(self, volume: Volume) -> Iterator[Position]:
+        """Yield the two positions of the plate: its height changes across the stripes, and along them."""
+        turns = [(0, 0, np.pi / 2), (0, 0, 0)]
+        ways = zip(_RELIEFS, turns if volume.geometry.phase_axis == 1 else turns[::-1], strict=True)
+        return self._held(volume, "relief", [(words, turn, _MIDDLE) for words, turn in ways])
+
+
+def positions_in(volume: Volume, bar: BallBar, *, relief: bool = False) -> list[Position]:
+    """Return the positions of a bar, then those of the plate, and of the corrugated plate if there is one."""
+    reliefs = Relief.within(volume).positions(volume) if relief else ()
+    return [*bar.positions(volume), *Plate.within(volume).positions(volume), *reliefs]
 
 
 def _rectangle(width: float, height: float) -> FloatArray:

@@ -19,6 +19,9 @@ corrected, and by what scatters:
 u_fit is the noise of the two centres, from their covariance, in which tiles count as independent, not points.
 u_position is what the errors of the n positions scatter by beyond it, times sqrt((n - 1) / (n - 3)) for few positions
 (JCGM 101:2008, 6.4.9.4). u_calibration is the scale that the calibration's own uncertainty of depth makes.
+
+**Lateral resolution**, across the stripes and along them, is measured if there are pictures of a corrugated plate
+(`lateral_resolution.py`).
 """
 
 from collections.abc import Iterator, Sequence
@@ -33,12 +36,14 @@ from pipeline.calibration.captures import captured_files
 from pipeline.calibration.model import Calibration, Geometry, choose_pattern
 from pipeline.causes import Cause
 from pipeline.decoding.frame import DecodedFrame
-from pipeline.diagnosis.artefacts import BallBar, Plate, Position, Volume
+from pipeline.diagnosis.artefacts import BallBar, Plate, Position, Relief, Volume
+from pipeline.diagnosis.lateral_resolution import LateralResolution, measure_transfer
 from pipeline.diagnosis.picture_reader import PictureReader
 from pipeline.errors import CalibrationError
 from pipeline.footage.footage import Footage
 from pipeline.footage.opening import open_footage
 from pipeline.models import FloatArray
+from pipeline.planning.rig_plan import lateral_limit_px
 from pipeline.robust import fit_plane, fit_sphere
 from pipeline.settings import DecodeSettings
 
@@ -49,6 +54,8 @@ _NORMAL_PX = 3
 _VOTE, _SEEN = 0.25, 0.25
 # A shape needs so many tiles: twice a sphere's unknowns.
 _LEAST_TILES = 8
+# And corrugations: twice the unknowns of eleven periods and a quadric.
+_RELIEF_TILES = 56
 # The plate fills this part of the picture at least: where it is farthest the one that is asked for fills a third.
 _FILLED = 0.25
 # Points that may be left out of a range.
@@ -83,6 +90,7 @@ class Certificate:
     uncertainty_mm: float  # U of a length as long as the bar, k = 2
     spacing_errors_mm: tuple[float, ...]  # by position
     flatness_errors_mm: tuple[float, ...]
+    lateral: dict[str, LateralResolution]  # across and along the stripes; empty if it is not measured
 
     @property
     def figures(self) -> tuple[Figure, ...]:
@@ -162,7 +170,7 @@ def certify(
     Parameters
     ----------
     source : Footage
-        The pictures, in the order of `positions_in`.
+        The pictures, in the order of `positions_in`, with or without those of a corrugated plate.
     bar : BallBar
         The reference.
     reference_mm : float
@@ -187,15 +195,19 @@ def certify(
     geometry = reader.calibration.geometry()
     volume = Volume.before(geometry, distance_mm)
     bars, plates = list(bar.positions(volume)), list(Plate.within(volume).positions(volume))
+    reliefs = list(Relief.within(volume).positions(volume)) if len(source) > len(bars) + len(plates) else []
     pairs: list[list[Sphere]] = []
     flats: list[Flat] = []
-    for position, (_, frame) in zip([*bars, *plates], reader.frames(), strict=True):
+    laterals: list[LateralResolution] = []
+    for position, (_, frame) in zip([*bars, *plates, *reliefs], reader.frames(), strict=True):
         try:
             if position in bars:
                 pairs.append(measure_bar(frame, bar, geometry, settings.smoothing_px))
                 _check_bar(pairs[-1], bar, geometry)
                 centres = np.stack([ball.centre_mm for ball in pairs[-1]])
                 _check_place(position, bars, [_apart_mm(centres, bar.centres_mm(asked)) for asked in bars])
+            elif position in reliefs:
+                laterals.append(measure_relief(frame, position, geometry, settings.smoothing_px))
             else:
                 flats.append(_measure_plate(frame, settings.smoothing_px))
                 _check_place(position, plates, [flats[-1].turned_rad(asked) for asked in plates])
@@ -217,6 +229,7 @@ def certify(
         uncertainty_mm=abs(spacing.trueness_mm) + _COVERAGE_FACTOR * float(np.hypot.reduce([*budget.values()])),
         spacing_errors_mm=tuple(errors),
         flatness_errors_mm=tuple(flat.range_mm for flat in flats),
+        lateral=dict(zip(("across", "along"), laterals, strict=False)),
     )
 
 
@@ -261,6 +274,37 @@ def measure_bar(frame: DecodedFrame, bar: BallBar, geometry: Geometry, window_px
     return fits
 
 
+def measure_relief(frame: DecodedFrame, asked: Position, geometry: Geometry, window_px: int) -> LateralResolution:
+    """Return the transfer of height of the surface that fills most of a position's outline.
+
+    Parameters
+    ----------
+    frame : DecodedFrame
+        Decoded with a calibration.
+    asked : Position
+        Where the corrugated plate is to be held.
+    geometry : Geometry
+        The calibration's.
+    window_px : int
+        The side of the window that phases were smoothed over.
+
+    Raises
+    ------
+    CalibrationError
+        The surface is small, or not the corrugated plate.
+    """
+    points = _points(frame)
+    (left, top), (right, bottom) = np.clip([asked.outline_px.min(axis=0), asked.outline_px.max(axis=0)], 0, None)
+    seen = np.bincount(frame.region[int(top) : int(bottom), int(left) : int(right)].ravel(), minlength=2)
+    surface = _inside(frame.region == 1 + seen[1:].argmax(), window_px)
+    tile = _tiles(surface, frame)
+    if np.unique(tile).size < _RELIEF_TILES:
+        raise CalibrationError(f"only {tile.size} points of the corrugated plate count: hold it where it is asked for")
+    mm_per_px = _mm_per_px(geometry, float(np.median(points[surface][:, 2])))
+    profile = cv2.Rodrigues(asked.turn)[0][:, 0]
+    return measure_transfer(points[surface], tile, profile, mm_per_px * lateral_limit_px(window_px))
+
+
 def find_balls(points: FloatArray, radius_mm: float, geometry: Geometry, count: int) -> Iterator[npt.NDArray[np.bool_]]:
     """Yield the pixels of balls, the one with most points first; see the module.
 
@@ -292,8 +336,7 @@ def find_balls(points: FloatArray, radius_mm: float, geometry: Geometry, count: 
         centre = _densest(votes[free], _VOTE * radius_mm)
         away = np.linalg.norm(votes - centre, axis=2)
         ball = free & (away < _VOTE * radius_mm)
-        mm_per_px = centre[2] / np.sqrt(geometry.camera.matrix[0, 0] * geometry.camera.matrix[1, 1])
-        seen = ball.sum() * mm_per_px**2 / (np.pi * radius_mm**2)
+        seen = ball.sum() * _mm_per_px(geometry, centre[2]) ** 2 / (np.pi * radius_mm**2)
         if seen < _SEEN:
             found = "no ball is" if number == 0 else f"only {number} of {count} balls is"
             raise CalibrationError(
@@ -339,6 +382,10 @@ def _measure_plate(frame: DecodedFrame, window_px: int) -> Flat:
         words = f"the surface is {_rms(flat.means_mm):.1f} mm from the nearest plane: show a plate alone"
         raise CalibrationError(Cause("other shape", words))
     return flat
+
+
+def _mm_per_px(geometry: Geometry, depth_mm: float) -> float:
+    return float(depth_mm / np.sqrt(geometry.camera.matrix[0, 0] * geometry.camera.matrix[1, 1]))
 
 
 def _points(frame: DecodedFrame) -> FloatArray:

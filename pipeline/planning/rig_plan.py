@@ -39,7 +39,8 @@ from pipeline.planning.motion_cost import longest_exposure_s, ripple_mm
 from pipeline.planning.rig_choice import FringeGeometry, RigChoice, SeenFields, angle_deg, fringe_geometry, seen_fields
 from pipeline.settings import DecodeSettings
 from pipeline.simulation import SKIN, TYPICAL_CROSSTALK, WHITE
-from tikernels.phase.smoothing import left_of_variance
+from tikernels.phase.camera_blur import VARIANCE_PX
+from tikernels.phase.smoothing import left_of_relief, left_of_variance
 from tikernels.phase.uncertainty import OWN_ERROR
 
 # Boards of fewer squares where the camera has few pixels; the first is what `colorphase pattern --board` draws.
@@ -63,6 +64,8 @@ _SCATTER_MM = {"skin": (1.2, 0.6, 0.3), "white": (0.0, 0.0, 0.0)}
 _LEAST_LEFT = 0.3
 # A mosaic has a third of the samples, from which all three colours of a pixel are interpolated.
 _VARIANCE = {"bayer": 3.0, "rgb": 1.0}
+# It also makes the lateral period limit longer by this factor: 1.08 to 1.18 on corrugated plates in simulated frames.
+_COARSER = {"bayer": 1.12, "rgb": 1.0}
 # An ordinary projector's response, which codes are raised to.
 _GAMMA = 2.0
 # What decoding leaves of a smooth surface under the coded pattern without noise, rad, by the cycles in view: planes,
@@ -139,6 +142,22 @@ def choose_board(field_mm: tuple[float, float], mm_per_px: float) -> BoardChoice
         sheet=next(name for name, width, height in sheets if short <= width and long <= height),
         sharp_mm=columns * square_mm / 2 * sin(radians(TILTS_DEG[1])),
     )
+
+
+def lateral_limit_px(smoothing_px: int) -> float:
+    """Return the lateral period limit: the period at which decoding leaves half of a low relief, camera px.
+
+    The window of smoothing leaves as much along the stripes as across them. The pixel's area and the lens leave
+    exp(-2 pi^2 v / period^2), with the variance v that decoding takes a camera to have.
+
+    Examples
+    --------
+    >>> round(lateral_limit_px(7), 1)
+    5.8
+    """
+    periods_px = np.geomspace(100, 2, 4000)  # a thousandth apart
+    left = left_of_relief(smoothing_px // 2, periods_px) * np.exp(-2 * pi**2 * VARIANCE_PX / periods_px**2)
+    return float(periods_px[np.argmax(left < 0.5)])
 
 
 def expected_phase_sigma(
@@ -238,6 +257,12 @@ class RigPlan:
     def dark_depth_sigma_mm(self) -> float:
         """The same where it is half as bright, mm."""
         return self.dark_phase_sigma_rad * self.fringe.depth_per_rad_mm
+
+    @property
+    def lateral_limit_mm(self) -> float:
+        """The period of a relief of which half is seen, along and across the stripes, mm."""
+        limit_px = lateral_limit_px(DecodeSettings().smoothing_px) * _COARSER[self.choice.sensor]
+        return limit_px * self.fields.mm_per_px
 
     @property
     def contrast_left(self) -> tuple[float, float, float]:

@@ -8,6 +8,9 @@ Spacing: the largest true error of the seven positions, and the mean. Flatness: 
 what is left of it without noise, RMS. Then the certified U (k = 2), and the true errors of the bar in three other
 places of the volume, which U should contain.
 
+Lateral resolution: the lateral period limit over the predicted one, across and along the stripes, on a corrugated plate
+in the two positions that are asked for; and, with the plate in exactly these places, for lenses with other blurs.
+
 python tests/benchmarks/certify.py [--rigs 20] [--folder FOLDER]    FOLDER keeps captures: stopped, it goes on there
 """
 
@@ -15,6 +18,7 @@ import argparse
 import warnings
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -26,21 +30,32 @@ from calibration_accuracy import BOARD, CAMERA_PX, DISTANCE_MM, PERIOD_PX, PROJE
 
 from pipeline import Calibration, Decoder, DecodeSettings
 from pipeline.acquisition.guided_capture import GuidedCapture
-from pipeline.acquisition.simulated_studio import BarView, SimulatedStudio
+from pipeline.acquisition.simulated_studio import BarView, ReliefView, SimulatedStudio
 from pipeline.calibration.captures import CapturedFolder
 from pipeline.calibration.model import Pattern
 from pipeline.calibration.pose_guide import PoseGuide
 from pipeline.calibration.radiometry import measure_radiometry, radiometry_sequence
 from pipeline.calibration.rig_geometry import solve_geometry
 from pipeline.calibration.simulated_board import CaptureLight
-from pipeline.diagnosis.artefacts import BallBar, Plate, Volume, positions_in
-from pipeline.diagnosis.certificate import Certificate, certify, measure_bar, open_pictures, under_cells
+from pipeline.diagnosis.artefacts import BallBar, Plate, Relief, Volume, positions_in
+from pipeline.diagnosis.certificate import (
+    Certificate,
+    certify,
+    measure_bar,
+    measure_relief,
+    open_pictures,
+    under_cells,
+)
+from pipeline.diagnosis.lateral_resolution import LateralResolution
 from pipeline.errors import CalibrationError
 from pipeline.pattern import make_pattern
 from pipeline.simulation import TYPICAL_CROSSTALK
 
+Row = tuple[BallBar, float, Certificate, np.ndarray, list[tuple[LateralResolution, LateralResolution]]]
 DIAMETER_MM, SPACINGS_MM = 60.0, (160.0, 140.0, 120.0, 100.0)
 OFF_MM, ELSEWHERE = 0.005, 3
+#: Blurs of the camera's lens that the corrugated plate is also seen through, px; captures have 0.5.
+BLURS_PX = (0.3, 0.7, 1.0)
 
 
 def main() -> None:
@@ -49,32 +64,45 @@ def main() -> None:
     parser.add_argument("--rigs", type=int, default=20)
     parser.add_argument("--folder", type=Path)
     options = parser.parse_args()
-    print("| rig | bar, mm | spacing | mean | flatness | without noise | U | elsewhere | contained |")
-    print("|---|---|---|---|---|---|---|---|---|")
-    errors, flatness, ratios = [], [], []
+    print("| rig | bar, mm | spacing | mean | flatness | without noise | U | elsewhere | contained | across | along |")
+    print("|---|---|---|---|---|---|---|---|---|---|---|")
+    errors, flatness, ratios, laterals, blurred = [], [], [], [], []
     with TemporaryDirectory() as scratch, ProcessPoolExecutor(2) as pool:
         rows = pool.map(partial(certified_or_refused, options.folder or Path(scratch)), range(options.rigs))
         for seed, row in enumerate(rows):
             if isinstance(row, str):
-                print(f"| {seed} | refused: {row} | | | | | | | |", flush=True)
+                print(f"| {seed} | refused: {row} | | | | | | | | | |", flush=True)
                 continue
-            bar, off_mm, found, elsewhere = row
+            bar, off_mm, found, elsewhere, others = row
             true = np.array(found.spacing_errors_mm) - off_mm
             inside = np.abs(elsewhere) <= found.uncertainty_mm
             errors.append(np.abs(true).max())
             flatness.append((found.flatness.largest_mm, found.flatness.trueness_mm))
             ratios += [*(np.abs(elsewhere) / found.uncertainty_mm)]
+            laterals.append([over_predicted(lateral) for lateral in found.lateral.values()])
+            blurred.append([[over_predicted(lateral) for lateral in pair] for pair in others])
             print(
                 f"| {seed} | {bar.spacing_mm:.0f} | {errors[-1]:.3f} | {true.mean():+.3f} | {flatness[-1][0]:.3f} "
                 f"| {flatness[-1][1]:.3f} | {found.uncertainty_mm:.3f} | "
-                f"{', '.join(f'{error:+.3f}' for error in elsewhere)} | {inside.sum()} of {len(inside)} |",
+                f"{', '.join(f'{error:+.3f}' for error in elsewhere)} | {inside.sum()} of {len(inside)} "
+                f"| {laterals[-1][0]:.2f} | {laterals[-1][1]:.2f} |",
                 flush=True,
             )
-    print("| worst | | {:.3f} | | {:.3f} | {:.3f} | | | |".format(max(errors), *np.max(flatness, axis=0)))
+    for name, of in (("median", np.median), ("worst", np.max)):
+        largest, left = of(flatness, axis=0)
+        print(f"| {name} | | {of(errors):.3f} | | {largest:.3f} | {left:.3f} | | | | | |")
     print(f"U contains {np.mean(np.array(ratios) <= 1):.1%} of the true errors, whose RMS is {rms(ratios):.2f} U")
+    for blur_px, pairs in zip((0.5, *BLURS_PX), (laterals, *np.swapaxes(blurred, 0, 1)), strict=True):
+        low, middle, high = np.quantile(pairs, (0, 0.5, 1), axis=0).round(2)
+        print(f"lateral period limit over predicted, lens's blur {blur_px} px: median {middle}, {low} to {high}")
 
 
-def certified_or_refused(folder: Path, seed: int) -> tuple[BallBar, float, Certificate, np.ndarray] | str:
+def over_predicted(lateral: LateralResolution) -> float:
+    """Return the measured lateral period limit over the predicted one; NaN where it is shorter than all periods."""
+    return np.nan if lateral.limit_mm is None else lateral.limit_mm / lateral.predicted_mm
+
+
+def certified_or_refused(folder: Path, seed: int) -> Row | str:
     """Return what `certified` does, or why it refused the rig or its pictures."""
     try:
         return certified(folder, seed)
@@ -82,8 +110,8 @@ def certified_or_refused(folder: Path, seed: int) -> tuple[BallBar, float, Certi
         return str(error)
 
 
-def certified(folder: Path, seed: int) -> tuple[BallBar, float, Certificate, np.ndarray]:
-    """Return the bar, how much longer than certified it is, its certificate, and its true errors in other places."""
+def certified(folder: Path, seed: int) -> Row:
+    """Return the bar, how much longer than certified it is, its certificate, its true errors elsewhere, and blurs'."""
     warnings.simplefilter("ignore")
     rng = np.random.default_rng([46, seed])
     truth = drawn_rig(rng)
@@ -98,11 +126,11 @@ def certified(folder: Path, seed: int) -> tuple[BallBar, float, Certificate, np.
     rng = np.random.default_rng([50, seed])
     true = BallBar(DIAMETER_MM, bar.spacing_mm + OFF_MM * rng.standard_normal())
     codes = make_pattern(PROJECTOR_PX, known.pattern, known.response)
-    plate = Plate.within(volume)
-    for artefact, held in ((bar, true), (plate, plate)):
+    plate, relief = Plate.within(volume), Relief.within(volume)
+    for artefact, held in ((bar, true), (plate, plate), (relief, relief)):
         capture = guided(folder, SimulatedStudio(held, truth=truth, light=light, seed=seed))
         capture.take_positions(list(artefact.positions(volume)), codes)
-    pictures = open_pictures(folder, positions_in(volume, bar))
+    pictures = open_pictures(folder, positions_in(volume, bar, relief=True))
     settings = DecodeSettings()
     found = certify(pictures, bar, 2 * OFF_MM, known, settings, "cpu", DISTANCE_MM)
     decoder, shown, elsewhere = Decoder(settings, known, arch="cpu"), np.rint(255 * codes) / np.float32(255), []
@@ -110,7 +138,14 @@ def certified(folder: Path, seed: int) -> tuple[BallBar, float, Certificate, np.
         image = BarView(truth, true, turn, place, light, samples=3).photograph(shown, rng)
         first, second = measure_bar(decoder.decode(image), bar, known.geometry(), settings.smoothing_px)
         elsewhere.append(np.linalg.norm(second.centre_mm - first.centre_mm) - true.spacing_mm)
-    return bar, true.spacing_mm - bar.spacing_mm, found, np.array(elsewhere)
+    others = []
+    for blur_px in BLURS_PX:
+        for at in relief.positions(volume):
+            view = ReliefView(truth, relief, at.turn, at.place_mm, replace(light, blur_px=blur_px), samples=3)
+            frame = decoder.decode(view.photograph(shown, rng))
+            others.append(measure_relief(frame, at, known.geometry(), settings.smoothing_px))
+    pairs = list(zip(others[::2], others[1::2], strict=True))
+    return bar, true.spacing_mm - bar.spacing_mm, found, np.array(elsewhere), pairs
 
 
 def calibrated(folder: Path, truth: Calibration, light: CaptureLight, seed: int) -> Calibration:

@@ -4,14 +4,14 @@ python tests/benchmarks/planned_accuracy.py
 """
 
 import _tests_path  # noqa: F401
-from support.planned_rigs import RIGS, measured
+from support.planned_rigs import RIGS, limits_over_planned, measured
 
 import tikernels
 from pipeline.planning import RigPlan, plan_rig
 
 
 def main() -> None:
-    """Print the table of docs/planning.md."""
+    """Print the tables of docs/planning.md."""
     tikernels.init("cpu")
     print("| rig | phase sigma, rad | plane: phase | depth | bust, most pixels: phase | depth |")
     print("|---|---|---|---|---|---|")
@@ -20,6 +20,13 @@ def main() -> None:
     tell("usual, half as bright", plan_rig(**RIGS["usual"]), 0.5)
     for name in ("usual", "hand-size, near"):
         tell(f"{name}, through a mosaic", plan_rig(**{**RIGS[name], "sensor": "bayer"}))
+    print("\n| rig | lateral resolution, mm | across | along | mosaic, mm | across | along |")
+    print("|---|---|---|---|---|---|---|")
+    for name, made in RIGS.items():
+        row = [name]
+        for plan in (plan_rig(**made), plan_rig(**{**made, "sensor": "bayer"})):
+            row += [f"{value:.2f}" for value in (plan.lateral_limit_mm, *limits_over_planned(plan))]
+        print(f"| {' | '.join(row)} |", flush=True)
 
 
 def tell(name: str, plan: RigPlan, share: float = 1.0) -> None:

@@ -1,6 +1,8 @@
 """Rigs to plan and to simulate, near and far, and frames that they take."""
 
 import warnings
+from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import cv2
@@ -8,9 +10,13 @@ import numpy as np
 import numpy.typing as npt
 import reference
 
+from pipeline.acquisition.simulated_studio import LIGHT, ReliefView
 from pipeline.calibration import Calibration
 from pipeline.decoder import Decoder
+from pipeline.diagnosis.artefacts import Relief, Volume
+from pipeline.diagnosis.certificate import measure_relief
 from pipeline.errors import DecodeWarning
+from pipeline.pattern import make_pattern
 from pipeline.planning import RigPlan
 from pipeline.settings import DecodeSettings
 from pipeline.simulation import SKIN, WHITE, SimulatedFrame, SimulationSettings, simulate_frame
@@ -82,6 +88,35 @@ def inside(frame: Any, truth: SimulatedFrame, rim_px: int) -> npt.NDArray[np.boo
     return cv2.erode(mask, np.ones((2 * rim_px + 1, 2 * rim_px + 1), np.uint8), borderValue=0) != 0
 
 
+def through_sensor(plan: RigPlan, image: Any, white_level: float) -> tuple[Any, float]:
+    """Return a frame as decoded from the rig's sensor, and its full scale."""
+    if plan.choice.sensor == "rgb":
+        return image, white_level
+    stored = PixelFormat("bayer", bits=8 if image.dtype == np.uint8 else plan.choice.bits, bayer="rggb")
+    return demosaic(np.ascontiguousarray(reference.mosaic(image, "rggb")), stored, plan.choice.stripes), 1.0
+
+
+def limits_over_planned(plan: RigPlan) -> Iterator[float]:
+    """Yield the lateral period limit across and along the stripes, on a corrugated plate, over the planned one.
+
+    The plate stands where the rig is turned to, before a lens with a blur of half a pixel; captures have 8 bits.
+    """
+    choice = plan.choice
+    rig = choice.calibration(plan.period_px, "contrast2")
+    volume = Volume.before(rig.geometry(), choice.distance_mm)
+    plate, codes = Relief.within(volume), make_pattern(choice.projector_px, rig.pattern)
+    for at in plate.positions(volume):
+        view = ReliefView(rig, plate, at.turn, at.place_mm, replace(LIGHT, noise=choice.noise_levels), 3)
+        image, white_level = through_sensor(plan, view.photograph(codes, np.random.default_rng(0)), 255)
+        settings = DecodeSettings(stripes=choice.stripes, white_level=white_level)
+        with warnings.catch_warnings():  # the plate fills little of the picture
+            warnings.simplefilter("ignore", DecodeWarning)
+            frame = Decoder(settings, rig).decode(image)
+        found = measure_relief(frame, at, volume.geometry, settings.smoothing_px)
+        assert found.limit_mm is not None
+        yield found.limit_mm / plan.lateral_limit_mm
+
+
 class Measured(NamedTuple):
     """Errors where it is as bright as planned, one constant removed: their RMS, and that of most of them."""
 
@@ -97,14 +132,8 @@ def measured(plan: RigPlan, scene: str, share: float = 1.0) -> Measured:
     settings = simulation(plan, scene=scene)
     settings = settings.model_copy(update={"exposure": share * exposure(rig, settings)})
     truth = simulate_frame(rig, settings)
-    image = truth.image
-    if plan.choice.sensor == "bayer":
-        mosaic = np.ascontiguousarray(reference.mosaic(image, "rggb"))
-        stored = PixelFormat("bayer", bits=plan.choice.bits, bayer="rggb")
-        image = demosaic(mosaic, stored, plan.choice.stripes)
-    decoder = Decoder(
-        DecodeSettings(stripes=plan.choice.stripes, white_level=truth.white_level if image is truth.image else 1.0), rig
-    )
+    image, white_level = through_sensor(plan, truth.image, truth.white_level)
+    decoder = Decoder(DecodeSettings(stripes=plan.choice.stripes, white_level=white_level), rig)
     with warnings.catch_warnings():  # parts of the bust are narrower than the cycles that the code needs
         warnings.simplefilter("ignore", DecodeWarning)
         frame = decoder.decode(image)

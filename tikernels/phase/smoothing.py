@@ -278,6 +278,15 @@ def left_of_variance(pairs: int) -> float:
     return left * float(quadric @ quadric) + bend * left
 
 
+def left_of_relief(pairs: int, period_px: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return the share of a low relief that smoothing leaves where all pairs count, by its period (N,) px.
+
+    It is the same along the rows and across them.
+    """
+    place = np.arange(-pairs, pairs + 1.0)
+    return np.asarray(np.cos(2 * np.pi * place / period_px[:, None]) @ _window(pairs)[1])
+
+
 def left_of_differences(pairs: int, step: int) -> float:
     """Return the variance of third differences over rows this many px apart, for a variance of one before smoothing."""
     third = np.zeros((len(THIRD_DIFFERENCE) - 1) * step + 1)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from support.planned_rigs import RIGS, exposure, inside, measured, simulated, simulation
+from support.planned_rigs import RIGS, exposure, inside, limits_over_planned, measured, simulated, simulation
 
 from pipeline.decoder import Decoder
 from pipeline.planning import plan_rig
@@ -11,6 +11,15 @@ from pipeline.settings import DecodeSettings
 from pipeline.simulation import simulate_frame
 
 CAMERA = {"brightness": 0.7, "contrast": 0.9, "noise_levels": 1.5, "bits": 8, "sensor": "rgb", "cycles_in_view": 40.0}
+
+
+@pytest.mark.parametrize("sensor", ["rgb", "bayer"])
+@pytest.mark.parametrize("name", RIGS)
+@pytest.mark.usefixtures("cpu")
+def test_lateral_resolution_is_as_planned(name, sensor):
+    """Along the stripes within 5 %; across them shading counts, too: within 35 %."""
+    across, along = limits_over_planned(plan_rig(**{**RIGS[name], "sensor": sensor}))
+    assert along == pytest.approx(1, abs=0.05) and across == pytest.approx(1, abs=0.35)
 
 
 @pytest.mark.parametrize("name", RIGS)

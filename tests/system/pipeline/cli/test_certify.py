@@ -6,8 +6,8 @@ import shutil
 import numpy as np
 import pytest
 
-from pipeline.acquisition.simulated_studio import LIGHT, BarView, SheetView
-from pipeline.diagnosis.artefacts import BallBar, Volume, positions_in
+from pipeline.acquisition.simulated_studio import LIGHT, BarView, ReliefView, SheetView
+from pipeline.diagnosis.artefacts import BallBar, Relief, Volume, positions_in
 from pipeline.diagnosis.certificate import under_cells
 from pipeline.output.range_image import write_png
 from pipeline.pattern import make_pattern
@@ -26,10 +26,13 @@ def certified(tmp_path_factory):
     geometry, rng = known.geometry(), np.random.default_rng(0)
     codes = np.rint(255 * make_pattern(geometry.projector.size_px, geometry.pattern, known.response)) / np.float32(255)
     (folder / "pictures").mkdir()
-    for position in positions_in(Volume.before(geometry, None), BAR):
+    volume = Volume.before(geometry, None)
+    for position in positions_in(volume, BAR, relief=True):
         where = (position.turn, position.place_mm + rng.normal(0, 5, 3), LIGHT, 1)
         if position.name.startswith("bar"):
             view = BarView(truth, TRUE_BAR, *where)
+        elif position.name.startswith("relief"):
+            view = ReliefView(truth, Relief.within(volume), *where[:-1], 3)
         else:
             view = SheetView(truth, *where)
         write_png(folder / "pictures" / f"{position.name}.png", view.photograph(codes, rng))
@@ -52,6 +55,20 @@ def test_a_rig_is_certified_blind(command, certified):
     assert found["flatness"]["trueness_mm"] < 0.08 and found["form"]["trueness_mm"] < 0.08
     assert abs(found["size"]["trueness_mm"]) < 0.2
     assert 0.02 < found["noise_mm"] < 2 * found["noise_predicted_mm"]
+    assert set(found["lateral"]) == {"across", "along"}
+    for direction, lateral in found["lateral"].items():
+        assert f"lateral resolution {direction} the stripes: {lateral['limit_mm']:.2f} mm, U (k = 2)" in done.stdout
+        assert lateral["limit_mm"] == pytest.approx(lateral["predicted_mm"], rel=0.12)
+        assert lateral["sigma_mm"] < 0.1 and len(lateral["transfer"]) == len(lateral["periods_mm"]) == 11
+
+
+def test_without_a_corrugated_plate_lateral_resolution_is_not_measured(command, certified, tmp_path):
+    ignored = shutil.ignore_patterns("relief-*")
+    shutil.copytree(certified, tmp_path, ignore=ignored, dirs_exist_ok=True)
+    done = command("certify", "pictures", *GIVEN, *OPTIONS, "--out", "without.json")
+    assert done.returncode == 0, done.stderr
+    assert "lateral resolution: not measured, as there are no pictures of a corrugated plate" in done.stdout
+    assert json.loads((tmp_path / "without.json").read_text())["lateral"] == {}
 
 
 @pytest.mark.parametrize(
@@ -68,6 +85,13 @@ def test_a_rig_is_certified_blind(command, certified):
             "plane-1: it is held as plane-6 should be: hold it facing the camera",
         ),
         (("plane-2", "plane-3"), GIVEN, "plane-2 must be nearer than plane-1, and plane-3 farther: they are 9"),
+        (("relief-1", "relief-2"), GIVEN, "relief-1: 0% of the height of corrugations 10 mm long is seen: show the"),
+        (("relief-2", "plane-1"), GIVEN, "relief-2: 0% of the height of corrugations 10 mm long is seen: show the"),
+        (
+            ("relief-2", None),
+            GIVEN,
+            "pictures lacks relief-2.png: hold it facing the camera, its ridges at right angles",
+        ),
         (("plane-1", None), GIVEN, "pictures lacks plane-1.png: hold it facing the camera, at the middle distance"),
     ],
 )

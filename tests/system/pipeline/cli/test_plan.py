@@ -30,6 +30,14 @@ def test_it_prints_what_to_buy_show_and_print(command):
     assert "colorphase pattern board.pdf --board charuco --squares 11x8 --square-mm 29" in said
 
 
+def test_it_prints_the_lateral_resolution(command):
+    """Of 0.72 mm per px; a mosaic makes it 12 % coarser."""
+    _, said, _ = command("plan", "--sensor", "rgb")
+    assert figures(said)["lateral resolution"] == "4.1 mm"
+    _, said, _ = command("plan")
+    assert figures(said)["lateral resolution"] == "4.6 mm"
+
+
 def test_it_prints_what_the_calibration_leaves(command, monkeypatch):
     monkeypatch.setattr(console.stdout, "width", 200)
     _, said, _ = command("plan")

@@ -7,7 +7,7 @@ import reference
 import tikernels
 from tikernels import runtime
 from tikernels.phase.phase_change import measure_rates
-from tikernels.phase.smoothing import Smoother
+from tikernels.phase.smoothing import Smoother, left_of_relief
 from tikernels.phase.wrapped_phase import NO_PHASE, STEP_PHASE
 
 
@@ -81,6 +81,18 @@ def test_relief_is_kept(arch, down, amplitude, sigma):
         found = reference.wrapped_difference(smoothed, flat)[8:-8, 8:-8]
         seen.append(2 * np.mean(found * wave[8:-8, 8:-8]) / (amplitude * sigma))
     assert np.mean(seen) > 0.78
+
+
+@pytest.mark.parametrize("down", [False, True])
+@pytest.mark.parametrize("period_px", [4.0, 5.5, 7.25, 12.0])
+def test_a_low_relief_is_kept_as_said(arch, down, period_px):
+    y, x = np.mgrid[:160, :200]
+    wave = np.exp(2j * np.pi / period_px * (y if down else x))
+    flat = reference.ramp(160, 200, 12.0)
+    smoothed, _ = decoded(noisy(flat + 0.01 * wave.real, 0.001), 0.03)
+    found = reference.wrapped_difference(smoothed, flat)[8:-8, 8:-8]
+    left = 2 * np.mean(found * wave[8:-8, 8:-8].conj()).real / 0.01
+    assert left == pytest.approx(left_of_relief(3, np.array([period_px]))[0], abs=0.01)
 
 
 @pytest.mark.parametrize("down", [False, True])
