@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from hardware.instruments import open_instruments
     from hardware.rig import Burst, PairedFrame, Rig
     from hardware.settings import RigSettings
-    from pipeline.acquisition import LiveDecoder, read_rig
+    from pipeline.acquisition import LiveDecoder, LiveFrame, read_rig
     from pipeline.calibration import Calibration
     from pipeline.decoder import Decoder
     from pipeline.decoding.frame import DecodedFrame
@@ -85,6 +85,7 @@ __all__ = [
     "FootageError",
     "LightEstimate",
     "LiveDecoder",
+    "LiveFrame",
     "Mesh",
     "OutputError",
     "PairedFrame",
