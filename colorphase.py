@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from hardware.instruments import open_instruments
     from hardware.rig import Burst, PairedFrame, Rig
     from hardware.settings import RigSettings
-    from pipeline.acquisition import LiveDecoder, read_rig
+    from pipeline.acquisition import LiveDecoder, LiveFrame, read_rig
     from pipeline.batch import Crop, DecodeProgress, DecodeSummary, decode_footage
     from pipeline.calibration import Calibration
     from pipeline.decoder import Decoder
@@ -91,6 +91,7 @@ __all__ = [
     "FrameFields",
     "LightEstimate",
     "LiveDecoder",
+    "LiveFrame",
     "Mesh",
     "MeshOptions",
     "OutputError",

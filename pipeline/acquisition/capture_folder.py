@@ -176,7 +176,8 @@ class CaptureFolder:
             )
             self._live = None
             if plan.live:
-                self._live = LiveDecoder(decoding, calibration, format, limits.size_px, folder / PREVIEW, plan.arch)
+                preview = folder / PREVIEW
+                self._live = LiveDecoder(limits.size_px, decoding, calibration, format, plan.arch, preview=preview)
         except BaseException:
             shutil.rmtree(folder, ignore_errors=True)
             raise
@@ -235,7 +236,7 @@ class CaptureFolder:
             return ()
         if self._live.ended is not None:
             return (self._live.ended,)
-        if self._live.latest() is None:
+        if self._live.latency_s is None:
             return ("the capture was over before live decoding was ready, which takes some seconds at its first start",)
         return ()
 
@@ -243,14 +244,13 @@ class CaptureFolder:
         """Return how it stands."""
         seconds = self._ended_s[-1] - self._ended_s[0]
         rate_hz = (len(self._ended_s) - 1) * self._frames_a_burst / seconds if seconds > 0 else 0.0
-        decoded = None if self._live is None else self._live.latest()
         n_bursts = self.n_bursts + len(self._ring)
         return CaptureProgress(
             n_bursts=n_bursts,
             n_frames=n_bursts * self._frames_a_burst,
             n_rejected=self.n_rejected,
             rate_hz=rate_hz,
-            latency_s=None if decoded is None else decoded.latency_s,
+            latency_s=None if self._live is None else self._live.latency_s,
             note=self._note,
         )
 

@@ -1,27 +1,27 @@
-"""Decode while frames are captured: the newest one that there is time for, in a process of its own.
+"""Decode the newest frame while others are captured, in a process of its own.
 
-Kernels keep the interpreter to themselves while they run: in the capturing process they would hold up camera and
-recorder.
+Kernels hold the interpreter while they run: in the capturing process they would delay camera and recorder.
 """
 
 import ctypes
 import multiprocessing
 import os
 import signal
+import threading
 import time
 import warnings
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from pipeline.calibration import Calibration
 from pipeline.decoder import Decoder
-from pipeline.decoding.frame import DecodedFrame, read_back
+from pipeline.decoding.frame import DecodedFrame
 from pipeline.errors import DecodeWarning, FootageError, OutputError
 from pipeline.models import ImageArray
 from pipeline.output.range_image import write_range_image
@@ -32,94 +32,206 @@ from tikernels.errors import ShapeError
 from tikernels.raw.development import develop
 from tikernels.raw.pixel_format import PixelFormat
 
-# Time that the frame which is just being decoded may take when decoding is closed: several times what one takes, and
-# less than a user waits after Ctrl-C. Kernels that are just compiled are given up.
+# The time that the frame being decoded may still take when decoding is closed: several times a frame's, and less than
+# a user waits after Ctrl-C. Compiling kernels is given up.
 _CLOSE_S = 0.5
-# Time that a process takes to end once it has let go of its pipe.
+# The time that a process takes to end once it has closed its pipe.
 _DIE_S = 0.2
-# The process's niceness, the highest: it takes what the capturing process, which has none, leaves of the cores.
+# The longest sleep while waiting: another thread may take the message that would have ended it.
+_POLL_S = 0.05
+# The highest niceness: the process takes the time of the cores that the capturing process, which has none, leaves.
 _NICENESS = 19
 # Between two previews, s: nobody looks at more of them.
 _PREVIEW_S = 0.3
-# Camera px a cycle of the fringe by which kernels are compiled where the settings name none.
+# Camera px per cycle of the fringe by which kernels are compiled where the settings name none.
 _WARM_PERIOD_PX = 12.0
+# The few ranges beyond these percentiles are mostly wrong.
+_RANGE_PERCENTILES = (1, 99)
+
+RGB8 = PixelFormat("rgb")
 
 
-@dataclass(frozen=True)
-class LiveResult:
-    """What became of one frame."""
+@dataclass(frozen=True, eq=False, repr=False)
+class LiveFrame:
+    """A frame that was decoded live. Its arrays are the caller's own: later frames do not change them.
+
+    Attributes
+    ----------
+    number : int
+        The number under which it was offered.
+    exposed_at_s : float
+        When it was exposed, by `time.monotonic`.
+    latency_s : float
+        Time from the exposure until all arrays were there.
+    warnings : tuple of str
+        What the user should know, a sentence each; of a frame that cannot be decoded, why.
+    range_unit : {"mm", "rad"}
+        Unit of `range_image` and `sigma`: mm with a calibrated geometry.
+    range_image : (H, W) float32
+        Depth in mm, or relative range in rad, see `DecodedFrame.range_image`; larger is farther; NaN outside the mask.
+    sigma : (H, W) float32
+        One standard deviation: `DecodedFrame.point_sigma` in mm, or `DecodedFrame.phase_sigma` in rad.
+    mask : (H, W) bool
+        Valid pixels: lit, with fringe contrast, not straddling two surfaces.
+    points : (H, W, 3) float32 or None
+        Place in the camera's frame in mm (x right, y down, z forward); NaN outside the mask. None without a calibrated
+        geometry.
+    texture : (H, W, 3) uint8 or None
+        The surface's colour without fringes, sRGB. None unless the decoder was told to give it.
+
+    Examples
+    --------
+    >>> depth = np.full((4, 4), 800, np.float32)
+    >>> depth[0] = np.nan
+    >>> sigma = np.full((4, 4), 0.1, np.float32)
+    >>> colorphase.LiveFrame(7, 0.0, 0.061, (), "mm", depth, sigma, np.isfinite(depth))
+    LiveFrame(7, 4x4 px, 75 % measured, 800.0 to 800.0 mm, 61 ms after its exposure)
+    """
 
     number: int
-    latency_s: float  # from the exposure to the finished range image
-    measured: float  # pixels that hold a value, 0..1 of all
-    phase_sigma: float  # rad, the median pixel's; NaN where none is measured
-    warnings: tuple[str, ...]  # what the user should know of it, a sentence each
+    exposed_at_s: float
+    latency_s: float
+    warnings: tuple[str, ...]
+    range_unit: Literal["mm", "rad"]
+    range_image: npt.NDArray[np.float32]
+    sigma: npt.NDArray[np.float32]
+    mask: npt.NDArray[np.bool_]
+    points: npt.NDArray[np.float32] | None = None
+    texture: npt.NDArray[np.uint8] | None = None
+
+    @property
+    def measured(self) -> float:
+        """Share of all pixels that have a range, 0 to 1."""
+        return float(np.isfinite(self.range_image).mean())
+
+    def __repr__(self) -> str:
+        height, width = self.mask.shape
+        known = self.range_image[np.isfinite(self.range_image)]
+        extent = ""
+        if known.size:
+            near, far = np.percentile(known, _RANGE_PERCENTILES)
+            extent = f"{near:.1f} to {far:.1f} {self.range_unit}, "
+        coverage = f"{width}x{height} px, {100 * self.measured:.0f} % measured"
+        return f"LiveFrame({self.number}, {coverage}, {extent}{1e3 * self.latency_s:.0f} ms after its exposure)"
+
+
+class _Decoded(NamedTuple):
+    """What the process reports of a frame whose arrays are in shared memory."""
+
+    slot: int
+    number: int
+    exposed_at_s: float
+    latency_s: float
+    warnings: tuple[str, ...]
 
 
 @dataclass(frozen=True)
-class LiveTask:
-    """What the process is told when it starts."""
+class _LiveTask:
+    """What the process is given when it starts."""
 
+    offered: Any  # shared memory of the frame to decode
+    decoded: Any  # and of two decoded frames: one is read while the other is written
+    layout: np.dtype[np.void]  # a decoded frame's arrays
+    shape: tuple[int, ...]  # of the frame to decode
     settings: DecodeSettings
     calibration: Calibration | None
     format: PixelFormat
-    size_px: tuple[int, int]
     preview: Path | None
     arch: str
 
+    def arrays(self) -> tuple[npt.NDArray[Any], npt.NDArray[np.void]]:
+        """Return the frame to decode, and the two slots of decoded frames."""
+        levels = np.frombuffer(self.offered, self.format.dtype).reshape(self.shape)
+        return levels, np.frombuffer(self.decoded, self.layout)
+
 
 class LiveDecoder:
-    """Decode frames in a process of its own, of low priority, which ends with this one whatever happens.
+    """Decode the newest frame in a process of low priority, which ends with this one whatever happens.
 
-    One frame is under way at a time; what is offered meanwhile is not decoded. A script that makes one needs the guard
-    ``if __name__ == "__main__"``, as for every process that `multiprocessing` spawns.
+    One frame is decoded at a time, by itself; frames that are offered meanwhile are not decoded. Methods may be called
+    from any thread. A script needs the guard ``if __name__ == "__main__"``, as for every process that `multiprocessing`
+    spawns.
 
     Parameters
     ----------
-    settings : DecodeSettings
-        How to decode; every frame by itself.
-    calibration : Calibration or None
-        The rig.
-    format : PixelFormat
-        How frames come: RGB in one (H, W, 3) plane, or a Bayer mosaic.
     size_px : (width, height)
-        Of every frame.
-    preview : Path, optional
-        A PNG of the range image, written anew a few times a second.
+        Size of every frame, whose array is (height, width, 3) or (height, width).
+    settings : DecodeSettings, optional
+        How to decode.
+    calibration : Calibration, optional
+        The rig; with its geometry, ranges are in mm.
+    format : PixelFormat
+        How frames are stored: RGB in one (H, W, 3) plane, or a Bayer mosaic (H, W). OpenCV's BGR is
+        ``PixelFormat("rgb", channels="bgr")``.
     arch : {"auto", "cpu", "vulkan", "cuda", "metal"}
         Where to compute; a named one never falls back.
+    texture : bool
+        Whether frames get their texture, which takes half as long again as decoding.
+    preview : Path, optional
+        A PNG of the range image, written a few times per second.
 
     Raises
     ------
     ShapeError
-        Such frames cannot be taken.
+        Frames of this format cannot be taken.
+    CalibrationError
+        The calibration is for frames of another size.
+
+    Examples
+    --------
+    >>> import time
+    >>> rig = colorphase.simulated_rig((320, 240))
+    >>> image = colorphase.simulate_frame(rig, colorphase.SimulationSettings(scene="plane")).image
+    >>> with colorphase.LiveDecoder((320, 240), calibration=rig, arch="cpu") as decoder:
+    ...     decoder.wait(60)  # until kernels are compiled
+    ...     taken = decoder.offer(image, 0, time.monotonic())
+    ...     decoder.wait(60)
+    ...     frame = decoder.latest()
+    >>> round(float(frame.range_image[120, 160]))  # mm
+    900
     """
 
     def __init__(
         self,
-        settings: DecodeSettings,
-        calibration: Calibration | None,
-        format: PixelFormat,
         size_px: tuple[int, int],
-        preview: Path | None = None,
+        settings: DecodeSettings | None = None,
+        calibration: Calibration | None = None,
+        format: PixelFormat = RGB8,
         arch: str = "auto",
+        *,
+        texture: bool = False,
+        preview: Path | None = None,
     ) -> None:
         if format.layout == "yuv":
             raise ShapeError("live decoding takes RGB in one plane, or a Bayer mosaic")
-        (shape,) = format.plane_shapes(size_px[1], size_px[0])
-        # An unnamed file: nothing of it stays, whoever is killed.
+        calibrated = calibration is not None and calibration.has_geometry
+        if calibration is not None and calibrated:
+            calibration.geometry().check_frame(size_px)
+        self._range_unit: Literal["mm", "rad"] = "mm" if calibrated else "rad"
+        width, height = size_px
+        pixels, triples = (height, width), (height, width, 3)
+        # Types of 4 bytes first: all are aligned.
+        fields: list[tuple[str, str, tuple[int, ...]]] = [("range_image", "f4", pixels), ("sigma", "f4", pixels)]
+        fields += [("points", "f4", triples)] if calibrated else []
+        fields += [("mask", "?", pixels)]
+        fields += [("texture", "u1", triples)] if texture else []
+        layout = np.dtype(fields)
+        (shape,) = format.plane_shapes(height, width)
+        n_bytes = int(np.prod(shape)) * np.dtype(format.dtype).itemsize
+        # Unnamed files: nothing of them stays, whoever is killed.
         context = multiprocessing.get_context("spawn")
-        dtype: np.dtype[Any] = np.dtype(format.dtype)
-        memory: Any = context.RawArray(ctypes.c_uint8, int(np.prod(shape)) * dtype.itemsize)
-        self._slot = np.frombuffer(memory, dtype).reshape(shape)
-        self._latest: LiveResult | None = None
+        offered, decoded = (context.RawArray(ctypes.c_uint8, n) for n in (n_bytes, 2 * layout.itemsize))
+        task = _LiveTask(
+            offered, decoded, layout, shape, settings or DecodeSettings(), calibration, format, preview, arch
+        )
+        self._levels, self._slots = task.arrays()
+        self._lock = threading.RLock()
+        self._decoded: _Decoded | None = None
+        self._latest: LiveFrame | None = None  # None: the frame that was decoded last has not been read yet
         self._ended: str | None = None
         self._idle = False
         self._pipe, theirs = context.Pipe()
-        task = LiveTask(settings, calibration, format, size_px, preview, arch)
-        self._process = context.Process(
-            target=serve_live, args=(theirs, memory, task), name="live decoder", daemon=True
-        )
+        self._process = context.Process(target=serve_live, args=(theirs, task), name="live decoder", daemon=True)
         try:
             with safe_start():
                 self._process.start()
@@ -137,32 +249,41 @@ class LiveDecoder:
 
     @property
     def ready(self) -> bool:
-        """Whether kernels are compiled and no frame is under way: the next one offered is taken."""
-        self._listen()
-        return self._idle
+        """Whether kernels are compiled and no frame is being decoded: the next one offered is taken."""
+        with self._lock:
+            self._listen()
+            return self._idle
+
+    @property
+    def ended(self) -> str | None:
+        """Why no frame is decoded any more, in one line; None while frames are."""
+        with self._lock:
+            self._listen()
+            return self._ended
+
+    @property
+    def latency_s(self) -> float | None:
+        """Latency of the frame that was decoded last; None: none has been. Unlike `latest`, it copies nothing."""
+        with self._lock:
+            self._listen()
+            return None if self._decoded is None else self._decoded.latency_s
 
     def wait(self, most_s: float) -> None:
         """Return when it is ready, has ended, or the time is over."""
         until_s = time.monotonic() + most_s
-        while not self.ready and self._ended is None and (left_s := until_s - time.monotonic()) > 0:
+        while not self.ready and self.ended is None and (left_s := until_s - time.monotonic()) > 0:
             with suppress(OSError):
-                self._pipe.poll(left_s)
-
-    @property
-    def ended(self) -> str | None:
-        """Why no frame is decoded any more, one line; None while frames are."""
-        self._listen()
-        return self._ended
+                self._pipe.poll(min(left_s, _POLL_S))
 
     def offer(self, frame: ImageArray, number: int, exposed_at_s: float) -> bool:
-        """Hand a frame over if there is time for it; never waits.
+        """Pass a frame to be decoded if the process is ready for it; never waits for it.
 
         Parameters
         ----------
         frame : (H, W, 3) RGB or (H, W) mosaic
             Levels, of the format's type; copied.
         number : int
-            By which `latest` names it.
+            The number by which `latest` names it.
         exposed_at_s : float
             When it was exposed, by `time.monotonic`, which all processes of a machine share.
 
@@ -176,49 +297,62 @@ class LiveDecoder:
         ShapeError
             It has another shape or type.
         """
-        if frame.shape != self._slot.shape or frame.dtype != self._slot.dtype:
-            expected = f"{self._slot.shape} {self._slot.dtype}"
-            raise ShapeError(f"frame has shape {frame.shape} {frame.dtype}, expected {expected}")
-        if not self.ready:
-            return False
-        np.copyto(self._slot, frame)
-        try:
-            self._pipe.send((number, exposed_at_s))
-        except OSError:
-            self._note_end()
-            return False
-        self._idle = False
-        return True
+        shape = self._levels.shape
+        if frame.shape != shape or frame.dtype != self._levels.dtype:
+            found = f"frame has shape {frame.shape} {frame.dtype}, expected {shape} {self._levels.dtype}"
+            if frame.shape == (shape[1], shape[0], *shape[2:]):
+                found += ": width and height are swapped: size_px is (width, height), a frame's shape (height, width)"
+            raise ShapeError(found)
+        with self._lock:
+            if not self.ready:
+                return False
+            np.copyto(self._levels, frame)
+            slot = 0 if self._decoded is None else 1 - self._decoded.slot  # the other one may still be read
+            try:
+                self._pipe.send((slot, number, exposed_at_s))
+            except OSError:
+                self._note_end()
+                return False
+            self._idle = False
+            return True
 
-    def latest(self) -> LiveResult | None:
-        """Return what became of the frame that was decoded last; None: none has been."""
-        self._listen()
-        return self._latest
+    def latest(self) -> LiveFrame | None:
+        """Return the frame that was decoded last, the same object until there is another; None: none has been."""
+        with self._lock:
+            self._listen()
+            if self._latest is None and self._decoded is not None:
+                slot, number, exposed_at_s, latency_s, notes = self._decoded
+                copied = self._slots[slot : slot + 1].copy()
+                arrays = {name: copied[name][0] for name in self._slots.dtype.names or ()}
+                self._latest = LiveFrame(number, exposed_at_s, latency_s, notes, self._range_unit, **arrays)
+            return self._latest
 
     def close(self) -> None:
         """End the process, within a second; a second call does nothing."""
-        self._listen()
-        if self._ended is None:
-            self._ended = "live decoding was closed"
-            self._pipe.close()
-        self._idle = False
-        if self._process.pid is None or self._process.exitcode is not None:
-            return
-        self._process.join(_CLOSE_S)
-        if self._process.exitcode is None:
-            self._process.kill()
-            self._process.join(_DIE_S)
+        with self._lock:
+            self._listen()
+            if self._ended is None:
+                self._ended = "live decoding was closed"
+                self._pipe.close()
+            self._idle = False
+            if self._process.pid is None or self._process.exitcode is not None:
+                return
+            self._process.join(_CLOSE_S)
+            if self._process.exitcode is None:
+                self._process.kill()
+                self._process.join(_DIE_S)
 
     def _listen(self) -> None:
-        """Take what the process has said meanwhile."""
+        """Take the messages that the process has sent."""
         try:
             while self._ended is None and self._pipe.poll():
                 said = self._pipe.recv()
                 if isinstance(said, str):
                     self._end(said)
-                else:
-                    self._idle = True
-                    self._latest = said or self._latest
+                    return
+                self._idle = True
+                if said is not None:
+                    self._decoded, self._latest = said, None
         except (EOFError, OSError):
             self._note_end()
 
@@ -237,18 +371,17 @@ class LiveDecoder:
         self._pipe.close()
 
 
-def serve_live(pipe: Connection, memory: Any, task: LiveTask) -> None:
-    """Decode what comes, in the process that does nothing else, until the other end is gone."""
+def serve_live(pipe: Connection, task: _LiveTask) -> None:
+    """Decode what comes, in a process of its own, until the other end is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the capturing process decides when to end
     if hasattr(os, "nice"):
         os.nice(_NICENESS)
-    warnings.simplefilter("ignore", DecodeWarning)  # frames tell
+    warnings.simplefilter("ignore", DecodeWarning)  # frames carry them
     try:
-        worker = _LiveWorker(memory, task)
+        worker = _LiveWorker(task)
         pipe.send(None)
         while True:
-            number, exposed_at_s = pipe.recv()
-            pipe.send(worker.decode(number, exposed_at_s))
+            pipe.send(worker.decode(*pipe.recv()))
     except (EOFError, BrokenPipeError, ConnectionResetError):
         return
     except Exception as error:
@@ -257,26 +390,32 @@ def serve_live(pipe: Connection, memory: Any, task: LiveTask) -> None:
 
 
 class _LiveWorker:
-    def __init__(self, memory: Any, task: LiveTask) -> None:
+    def __init__(self, task: _LiveTask) -> None:
         self._task = task
-        (shape,) = task.format.plane_shapes(task.size_px[1], task.size_px[0])
-        self._slot = np.frombuffer(memory, task.format.dtype).reshape(shape)
+        self._levels, self._slots = task.arrays()
         self._decoder = Decoder(task.settings, task.calibration, arch=task.arch)
-        self._image = runtime.empty((*shape[:2], 3), task.format.rgb_dtype)
+        self._image = runtime.empty((*self._levels.shape[:2], 3), task.format.rgb_dtype)
         self._frame: DecodedFrame | None = None
         self._previewed_s = -np.inf
         self._warm_up()
 
-    def decode(self, number: int, exposed_at_s: float) -> LiveResult:
+    def decode(self, slot: int, number: int, exposed_at_s: float) -> _Decoded:
         try:
-            frame = self._frame = self._decoder.decode(self._develop(self._slot), out=self._frame)
+            frame = self._frame = self._decoder.decode(self._develop(self._levels), out=self._frame)
         except FootageError as error:
-            return LiveResult(number, time.monotonic() - exposed_at_s, 0.0, np.nan, (str(error),))
-        range_image = frame.range_image  # synchronises
+            for name in self._slots.dtype.names or ():
+                values = self._slots[name][slot]
+                values[...] = np.nan if values.dtype.kind == "f" else 0
+            return _Decoded(slot, number, exposed_at_s, time.monotonic() - exposed_at_s, (str(error),))
+        self._write(frame, slot)
         latency_s = time.monotonic() - exposed_at_s
-        mask = frame.mask & np.isfinite(range_image)
-        sigma = float(np.median(frame.phase_sigma[mask])) if mask.any() else np.nan
-        return LiveResult(number, latency_s, float(mask.mean()), sigma, frame.warnings + self._preview(frame))
+        return _Decoded(slot, number, exposed_at_s, latency_s, frame.warnings + self._preview(frame))
+
+    def _write(self, frame: DecodedFrame, slot: int) -> None:
+        """Read a frame's arrays from the device into a slot."""
+        for name in self._slots.dtype.names or ():
+            sigma = "point_sigma" if frame.calibrated else "phase_sigma"
+            self._slots[name][slot] = getattr(frame, sigma if name == "sigma" else name)
 
     def _develop(self, levels: npt.NDArray[Any]) -> Any:
         return develop((levels,), self._task.format, stripes=self._task.settings.stripes, out=self._image)
@@ -286,7 +425,7 @@ class _LiveWorker:
             return ()
         self._previewed_s = time.monotonic()
         try:
-            write_range_image(self._task.preview, frame.range_image, frame.mask, "mm" if frame.calibrated else "rad")
+            write_range_image(self._task.preview, frame.range_image, frame.mask, frame.range_unit)
         except OutputError as error:
             return (str(error),)
         return ()
@@ -294,15 +433,16 @@ class _LiveWorker:
     def _warm_up(self) -> None:
         """Compile the kernels, by a plane's fringe, so that the first frame takes no longer than others."""
         format, settings = self._task.format, self._task.settings
-        place = np.indices(self._slot.shape[:2])[int(settings.stripes == "vertical")]
+        place = np.indices(self._levels.shape[:2])[int(settings.stripes == "vertical")]
         period_px = settings.camera_period_px or _WARM_PERIOD_PX
         phase = 2 * np.pi * place[..., None] / period_px + np.array([-1, 0, 1]) * 2 * np.pi / 3
         fringe = 0.5 + 0.4 * np.cos(phase) + np.random.default_rng(0).normal(0, 0.01, phase.shape)
         if format.layout == "bayer":
             colors = np.array(["rgb".index(color) for color in format.bayer]).reshape(2, 2)
-            rows, columns = np.indices(self._slot.shape)
+            rows, columns = np.indices(self._levels.shape)
             fringe = fringe[rows, columns, colors[rows % 2, columns % 2]]
+        else:
+            fringe = fringe[..., ["rgb0".index(channel) % 3 for channel in format.channels]]
         # With a decoder of its own: the first frame is to tell the light.
         decoder = Decoder(settings, self._task.calibration, arch=self._task.arch)
-        frame = decoder.decode(self._develop((fringe * format.white_level).astype(format.dtype)))
-        read_back(frame, ("range_image", "phase_sigma"))
+        self._write(decoder.decode(self._develop((fringe * format.white_level).astype(format.dtype))), 0)

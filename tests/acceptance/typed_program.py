@@ -30,6 +30,7 @@ from colorphase import (
     FrameFields,
     LightEstimate,
     LiveDecoder,
+    LiveFrame,
     Mesh,
     MeshOptions,
     OutputError,
@@ -157,8 +158,9 @@ def read(path: Path, out: Path) -> list[str]:
 
 def follow(path: Path, size_px: tuple[int, int]) -> None:
     """Decode live, and look at a result that is stored."""
-    live = LiveDecoder(DecodeSettings(), None, PixelFormat("rgb"), size_px)
-    live.close()
+    with LiveDecoder(size_px, DecodeSettings(), format=PixelFormat("rgb", channels="bgr")) as live:
+        shown: LiveFrame | None = live.latest()
+        print(shown, live.ended)
     stored = StoredResult(path)
     frames: list[ResultFrame] = stored[1:]
     depth = [float(np.nanmean(frame.range_image)) for frame in frames]

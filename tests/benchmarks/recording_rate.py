@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 from numcodecs import Blosc, blosc
 
-from pipeline import DecodeSettings
 from pipeline.acquisition.live import LiveDecoder
 from pipeline.recording.recorder import Recorder
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
@@ -113,7 +112,7 @@ def paced(images, rig, size_px, folder, format, rate_hz, seconds, live):
     n_frames, latencies, worst, offers = round(rate_hz * seconds), [], 0.0, []
     decoder = None
     if live:
-        decoder = LiveDecoder(DecodeSettings(), rig, format, size_px, folder / "live.png", "cpu")
+        decoder = LiveDecoder(size_px, calibration=rig, format=format, arch="cpu", preview=folder / "live.png")
         while not decoder.ready and decoder.ended is None:
             time.sleep(0.01)
     number = -1

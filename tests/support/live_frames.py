@@ -5,9 +5,7 @@ import time
 import pytest
 
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
-from tikernels.raw.pixel_format import PixelFormat
 
-RGB8 = PixelFormat("rgb")
 SIZE_PX = (128, 96)
 # Starting takes 3 to 12 s, by machine, most of it making machine code; next to other work several times as long.
 PATIENCE_S = 180

@@ -10,6 +10,7 @@ import sys
 import numpy as np
 import pytest
 
+import colorphase
 import tikernels
 from tikernels import DeviceNotReady, runtime
 
@@ -17,7 +18,8 @@ MODULES = sorted(module.name for module in pkgutil.walk_packages(tikernels.__pat
 
 
 def test_examples(cpu):
-    failed = [name for name in MODULES if doctest.testmod(importlib.import_module(name)).failed]
+    given = {"colorphase": colorphase, "np": np}
+    failed = [name for name in MODULES if doctest.testmod(importlib.import_module(name), extraglobs=given).failed]
     assert not failed
 
 
@@ -138,6 +140,7 @@ def test_the_first_call_starts_a_device_where_none_is():
 KERNELS_ARE_KEPT = """
 import pathlib, sys
 import numpy as np
+import colorphase
 import tikernels
 from tikernels import runtime
 

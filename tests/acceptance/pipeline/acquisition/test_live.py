@@ -7,9 +7,8 @@ import sys
 import time
 
 import pytest
-from support.live_frames import PATIENCE_S, RGB8, SIZE_PX, decoded, image, rig, wait_for
+from support.live_frames import PATIENCE_S, SIZE_PX, decoded, image, rig, wait_for
 
-from pipeline import DecodeSettings
 from pipeline.acquisition import live
 from pipeline.acquisition.live import LiveDecoder
 
@@ -30,7 +29,8 @@ def is_alive(pid):
 @on_posix
 def test_its_process_is_killed(rig, image, tmp_path):
     """The capturing process goes on, and can say why frames are no longer decoded."""
-    with LiveDecoder(DecodeSettings(), rig, RGB8, SIZE_PX, tmp_path / "absent" / "live.png", "cpu") as decoder:
+    preview = tmp_path / "absent" / "live.png"
+    with LiveDecoder(SIZE_PX, calibration=rig, arch="cpu", preview=preview) as decoder:
         first = decoded(decoder, image, 1)
         assert "its folder does not exist" in first.warnings[-1]
         wait_for(lambda: decoder.offer(image, 2, time.monotonic()))
@@ -45,7 +45,7 @@ def test_its_process_is_killed(rig, image, tmp_path):
 def test_its_process_hangs(rig, image, monkeypatch):
     """Nothing waits for it; closing waits a moment and then ends it."""
     monkeypatch.setattr(live, "_CLOSE_S", 0.2)
-    decoder = LiveDecoder(DecodeSettings(), rig, RGB8, SIZE_PX, arch="cpu")
+    decoder = LiveDecoder(SIZE_PX, calibration=rig, arch="cpu")
     pid = decoder._process.pid
     wait_for(lambda: decoder.ready)
     os.kill(pid, signal.SIGSTOP)
@@ -62,11 +62,9 @@ def test_its_process_hangs(rig, image, monkeypatch):
 START = """
 import signal, sys, time
 import numpy as np
-from pipeline import DecodeSettings
 from pipeline.acquisition.live import LiveDecoder
-from tikernels.raw.pixel_format import PixelFormat
 frame = np.zeros((96, 128, 3), np.uint8)
-decoder = LiveDecoder(DecodeSettings(), None, PixelFormat("rgb"), (128, 96), arch="cpu")
+decoder = LiveDecoder((128, 96), arch="cpu")
 print(decoder._process.pid, flush=True)
 """
 # What is not ours: Taichi's, once, while it is imported.
