@@ -241,13 +241,20 @@ class GuidedCapture:
                 self._report(f"again: {error}")
         return folder
 
-    def take_positions(self, positions: Sequence[Position], codes: npt.NDArray[np.floating]) -> None:
+    def take_positions(
+        self,
+        positions: Sequence[Position],
+        codes: npt.NDArray[np.floating],
+        check: Callable[[Position, Path], None] = lambda position, picture: None,
+    ) -> None:
         """Take a picture of an artefact in each of its positions, under the pattern; those that are there stay.
+
+        A picture that `check` refuses, by a `CalibrationError`, is taken again, up to three times.
 
         Raises
         ------
         CalibrationError
-            It is not held still, or nobody comes.
+            It is not held still, nobody comes, or no picture of it passes the check.
         OutputError
             A picture cannot be written.
         """
@@ -255,12 +262,23 @@ class GuidedCapture:
         for position in positions:
             if position.name in there:
                 continue
-            # Under the pattern a white plate that moves looks another, too.
-            self._show(codes)
-            self._studio.sleep(self._probe.delay_s)
-            elsewhere = partial(self._has_moved, before)
-            before = self._wait_until_still(f"{position.name}: {position.line}", elsewhere, position.outline_px)
-            _write_picture(self._folder / f"{position.name}.png", self.photograph(position.name, codes))
+            picture, failures = self._folder / f"{position.name}.png", 0
+            is_right = partial(self._has_moved, before)
+            while not picture.exists():
+                # Under the pattern a white plate that moves looks another, too.
+                self._show(codes)
+                self._studio.sleep(self._probe.delay_s)
+                before = self._wait_until_still(f"{position.name}: {position.line}", is_right, position.outline_px)
+                _write_picture(picture, self.photograph(position.name, codes))
+                try:
+                    check(position, picture)
+                except CalibrationError as error:
+                    picture.unlink()
+                    failures += 1
+                    if failures == _TRIES:
+                        raise CalibrationError(f"{position.name}: {error}") from None
+                    self._report(f"again: {position.name}: {error}")
+                    is_right = partial(self._has_moved, None)
             self._report(f"{position.name} is taken")
 
     def _has_moved(self, before: FloatArray | None, now: FloatArray) -> bool:

@@ -24,10 +24,11 @@ from pipeline.cli.console import (
 )
 from pipeline.errors import CalibrationError, SettingsError
 from pipeline.files import write_atomically
+from pipeline.settings import DecodeSettings
 from pipeline.text import sizes_differ
 
 if TYPE_CHECKING:
-    from pipeline.diagnosis.artefacts import BallBar
+    from pipeline.diagnosis.artefacts import BallBar, Position
     from pipeline.diagnosis.certificate import Certificate
 
 
@@ -86,9 +87,9 @@ def certify(
 
     if out is not None:
         check_target(out, force=force)
-    bar = BallBar(diameter_mm, spacing_mm)
+    bar, chosen = BallBar(diameter_mm, spacing_mm), read_settings(settings)
     if rig is not None:
-        known = _capture(rig, pictures, bar, calibration, distance_mm, relief=relief)
+        known = _capture(rig, pictures, bar, calibration, distance_mm, chosen, arch, relief=relief)
     elif calibration is not None:
         known = under_cells(Calibration.read(calibration))
     else:
@@ -96,7 +97,7 @@ def certify(
     relief = relief or any(name.startswith("relief-") for name in captured_files(pictures))
     positions = positions_in(Volume.before(known.geometry(), distance_mm), bar, relief=relief)
     source = open_pictures(pictures, positions)
-    chosen, _ = with_transfer_of(source, read_settings(settings), known)
+    chosen, _ = with_transfer_of(source, chosen, known)
     found = measure(source, bar, reference_mm, known, chosen, arch, distance_mm)
     _show(found, bar)
     if out is not None:
@@ -106,7 +107,15 @@ def certify(
 
 
 def _capture(
-    rig: str, folder: Path, bar: "BallBar", path: Path | None, distance_mm: float | None, *, relief: bool
+    rig: str,
+    folder: Path,
+    bar: "BallBar",
+    path: Path | None,
+    distance_mm: float | None,
+    settings: DecodeSettings,
+    arch: str,
+    *,
+    relief: bool,
 ) -> Calibration:
     """Take the pictures that a folder lacks; return the calibration, under the pattern that they show."""
     from hardware.drivers import SIMULATED
@@ -116,8 +125,11 @@ def _capture(
     from pipeline.calibration.captures import captured_files
     from pipeline.cli.calibrate_capture import GUIDE
     from pipeline.cli.opened_studio import opened_studio
+    from pipeline.decoding.footage_light import with_transfer_of
     from pipeline.diagnosis.artefacts import Plate, Relief, Volume
-    from pipeline.diagnosis.certificate import under_cells
+    from pipeline.diagnosis.certificate import bar_in, under_cells
+    from pipeline.diagnosis.picture_reader import PictureReader
+    from pipeline.footage.opening import open_footage
     from pipeline.pattern import make_pattern
     from pipeline.simulation import OWN_CALIBRATION
 
@@ -129,8 +141,16 @@ def _capture(
     geometry = known.geometry()
     volume = Volume.before(geometry, distance_mm)
     reliefs = (Relief.within(volume),) if relief else ()
-    for artefact in (bar, Plate.within(volume), *reliefs):
-        positions = list(artefact.positions(volume))
+    bars = list(bar.positions(volume))
+
+    def check(position: "Position", picture: Path) -> None:
+        with open_footage(picture) as source:
+            chosen, _ = with_transfer_of(source, settings, known)
+            ((_, frame),) = PictureReader.of_one(source, known, chosen, arch).frames()
+        bar_in(position, bars, frame, bar, geometry, chosen.smoothing_px)
+
+    artefacts = (Plate.within(volume), *reliefs)
+    for positions, artefact in ((bars, bar), *((list(each.positions(volume)), each) for each in artefacts)):
         if all(position.name in captured_files(folder) for position in positions):
             continue
         with opened_studio(instruments, rig, artefact, folder / GUIDE) as (studio, show):
@@ -141,7 +161,11 @@ def _capture(
             if studio.projector_px != geometry.projector.size_px:
                 sizes = "the projector", studio.projector_px, "the calibrated one is", geometry.projector.size_px
                 raise CalibrationError(f"{sizes_differ(*sizes)}: choose its display")
-            guided.take_positions(positions, make_pattern(studio.projector_px, geometry.pattern, known.response))
+            codes = make_pattern(studio.projector_px, geometry.pattern, known.response)
+            if artefact is bar:
+                guided.take_positions(positions, codes, check)
+            else:
+                guided.take_positions(positions, codes)
     return known
 
 

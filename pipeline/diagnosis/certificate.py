@@ -202,10 +202,7 @@ def certify(
     for position, (_, frame) in zip([*bars, *plates, *reliefs], reader.frames(), strict=True):
         try:
             if position in bars:
-                pairs.append(measure_bar(frame, bar, geometry, settings.smoothing_px))
-                _check_bar(pairs[-1], bar, geometry)
-                centres = np.stack([ball.centre_mm for ball in pairs[-1]])
-                _check_place(position, bars, [_apart_mm(centres, bar.centres_mm(asked)) for asked in bars])
+                pairs.append(bar_in(position, bars, frame, bar, geometry, settings.smoothing_px))
             elif position in reliefs:
                 laterals.append(measure_relief(frame, position, geometry, settings.smoothing_px))
             else:
@@ -231,6 +228,28 @@ def certify(
         flatness_errors_mm=tuple(flat.range_mm for flat in flats),
         lateral=dict(zip(("across", "along"), laterals, strict=False)),
     )
+
+
+def bar_in(
+    position: Position,
+    bars: Sequence[Position],
+    frame: DecodedFrame,
+    bar: BallBar,
+    geometry: Geometry,
+    window_px: int,
+) -> list[Sphere]:
+    """Return the balls of a bar; see `measure_bar`.
+
+    Raises
+    ------
+    CalibrationError
+        It is another bar, is nearer to another one of its positions, or too little of it is seen.
+    """
+    pair = measure_bar(frame, bar, geometry, window_px)
+    _check_bar(pair, bar, geometry)
+    centres = np.stack([ball.centre_mm for ball in pair])
+    _check_place(position, bars, [_apart_mm(centres, bar.centres_mm(asked)) for asked in bars])
+    return pair
 
 
 def measure_bar(frame: DecodedFrame, bar: BallBar, geometry: Geometry, window_px: int) -> list[Sphere]:

@@ -278,6 +278,32 @@ def test_a_webcams_poses_are_as_good_as_others(tmp_path):
         assert np.sqrt((off**2).mean()) < 0.3
 
 
+def test_a_picture_that_is_refused_is_taken_again(tmp_path):
+    geometry = SMALL.geometry()
+    codes, bar = make_pattern((1024, 768), geometry.pattern), BallBar(60.0, 160.0)
+    first, second = itertools.islice(bar.positions(Volume.before(geometry, None)), 2)
+    refused = []
+
+    def check(position, picture):
+        assert picture.name == f"{position.name}.png" and picture.exists()
+        if position is second or not refused:
+            refused.append(position.name)
+            raise CalibrationError("it is blurred")
+
+    capture, lines = capture_of(SimulatedStudio(bar, truth=SMALL, seed=4), tmp_path)
+    capture.check_rig()
+    with pytest.raises(CalibrationError, match=r"^bar-2: it is blurred$"):
+        capture.take_positions([first, second], codes, check)
+    assert refused == ["bar-1", *3 * ["bar-2"]]
+    assert [line for line in lines if "again" in line or "taken" in line] == [
+        "again: bar-1: it is blurred",
+        "bar-1 is taken",
+        "again: bar-2: it is blurred",
+        "again: bar-2: it is blurred",
+    ]
+    assert [path.name for path in tmp_path.glob("*.png") if path.name.startswith("bar")] == ["bar-1.png"]
+
+
 def test_a_ball_bar_and_a_plate_are_taken_where_they_should_be_once_each(tmp_path):
     geometry = SMALL.geometry()
     volume, codes = Volume.before(geometry, None), make_pattern((1024, 768), geometry.pattern)
