@@ -46,7 +46,7 @@ from pipeline.decoding.self_calibration import LightEstimate, estimate_light
 from pipeline.decoding.thresholds import frame_levels
 from pipeline.decoding.workspace import Workspace
 from pipeline.errors import CalibrationError, DecodeWarning, FootageError
-from pipeline.footage.footage import BadFrame, Footage, OnBad
+from pipeline.footage.footage import BadFrame, Footage, OnBad, check_on_bad
 from pipeline.linear_algebra import one_thread
 from pipeline.models import CodeName
 from pipeline.orders.order_finder import OrderFinder, SeenPhase
@@ -273,6 +273,8 @@ class Decoder:
             A frame is damaged, and `on_bad` is "raise".
         CalibrationError
             The calibration is of other frames.
+        SettingsError
+            `on_bad` is something else.
 
         Examples
         --------
@@ -288,6 +290,7 @@ class Decoder:
         0 0.000 s, 900 mm
         1 0.033 s, 900 mm
         """
+        check_on_bad(on_bad)
         decoder, times = self._suited_to(footage), footage.times
         frame_s = decoder.settings.frame_s
         previous: DecodedFrame | None = None

@@ -20,7 +20,7 @@ from pipeline.batch.worker import Chain, Outcome, Worker
 from pipeline.calibration import Calibration
 from pipeline.errors import DamageError, FootageError, OutputError, SettingsError
 from pipeline.files import explain, make_folder
-from pipeline.footage.footage import BadFrame, Footage, OnBad, StoredAs
+from pipeline.footage.footage import BadFrame, Footage, OnBad, StoredAs, check_on_bad
 from pipeline.locking import locked
 from pipeline.output.folder import MESHES, STORE, refuse_others
 from pipeline.output.store import (
@@ -171,6 +171,9 @@ def decode_footage(
     >>> f"{np.nanmedian(colorphase.StoredResult('out/result.zarr')[1].points[..., 2]):.0f} mm"
     '900 mm'
     """
+    check_on_bad(on_bad)
+    if step < 1 or start < 0:
+        raise SettingsError(f"start is {start} and step {step}: start at 0 or later, and go on by 1 or more")
     in_mm = calibration is not None and calibration.has_geometry
     job = Job(
         footage=str(footage),

@@ -4,11 +4,11 @@ from abc import ABC, abstractmethod
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, Self, cast
+from typing import Literal, Self, cast, get_args
 
 import numpy as np
 
-from pipeline.errors import FootageError
+from pipeline.errors import FootageError, SettingsError
 from pipeline.footage.frame_times import FrameTimes
 from pipeline.footage.picture_tags import upright
 from pipeline.models import ImageArray, SensorPart
@@ -39,6 +39,20 @@ class BadFrame:
 
 #: What becomes of a bad frame: it ends the reading, or is left out.
 OnBad = Literal["raise", "skip"]
+
+
+def check_on_bad(on_bad: OnBad) -> None:
+    """Refuse what is no way to treat bad frames.
+
+    Raises
+    ------
+    SettingsError
+        It is neither of the two.
+    """
+    if on_bad not in get_args(OnBad):
+        raise SettingsError(f'on_bad is {on_bad!r}: give "raise" or "skip"')
+
+
 #: Frames by number; closing them lets go of the file at once.
 Frames = Generator[StoredFrame | BadFrame, None, None]
 

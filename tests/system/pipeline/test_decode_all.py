@@ -209,3 +209,17 @@ def test_a_run_says_how_far_it_has_come(rig, film, tmp_path):
     with pytest.raises(colorphase.OutputError, match=r"holds something else \(letter\.txt\)"):
         colorphase.decode_footage(film, tmp_path / "theirs", **how)
     assert [entry.name for entry in (tmp_path / "theirs").iterdir()] == ["letter.txt"]
+
+
+def test_what_cannot_be_asked_for_is_refused(rig, film, tmp_path):
+    with colorphase.open_footage(film) as footage:
+        with pytest.raises(colorphase.SettingsError, match='on_bad is \'ignore\': give "raise" or "skip"'):
+            next(colorphase.Decoder(calibration=rig, arch="cpu").decode_all(footage, on_bad="ignore"))
+    for wrong, message in (
+        ({"on_bad": "ignore"}, "on_bad is 'ignore'"),
+        ({"step": 0}, "start is 0 and step 0: start at 0 or later, and go on by 1 or more"),
+        ({"start": -1}, "start is -1 and step 1"),
+    ):
+        with pytest.raises(colorphase.SettingsError, match=message):
+            colorphase.decode_footage(film, tmp_path / "out", **wrong)
+    assert not (tmp_path / "out").exists()
