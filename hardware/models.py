@@ -96,6 +96,7 @@ def allowed_values(model: type[BaseModel], *key: str | int) -> str:
 
 
 class _Schema(GenerateJsonSchema):
+    # The base class declares it as an attribute of instances.
     ignored_warning_kinds: set[JsonSchemaWarningKind] = {"skipped-choice", "non-serializable-default"}  # noqa: RUF012
 
 

@@ -1,4 +1,4 @@
-"""What frames have told of their rig, where neither settings nor calibration say it."""
+"""State of a rig that is estimated from its frames, where neither settings nor calibration specify it."""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -13,7 +13,7 @@ Asked = Literal["light", "code", "rims"]
 
 @dataclass(frozen=True)
 class RigState:
-    """What a decoder has learnt of its rig: given to another one, that decodes alike, whichever frames came before.
+    """Estimates of a rig from its frames, by which another decoder decodes alike, whichever frames come first.
 
     Examples
     --------

@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from support.own_drivers import DRIVERS
 from support.tilted_sheets import tilted_mesh
 
 from hardware.camera import open_camera
@@ -18,57 +19,28 @@ from pipeline.errors import OutputError, SettingsError
 from pipeline.output.formats.table import FORMATS, format_of
 from pipeline.output.mesh_files import write_mesh
 
-MODULE = """
-from hardware import CameraError
-from hardware.protocols import FrameFormat
-from hardware.simulated import MemoryCamera, SimulatedTrigger
+MODULE = f"""{DRIVERS}
 from pipeline.output.formats.table import OPTICAL, FileFormat
-import numpy as np
-
-WIRES = []
-
-class Camera(MemoryCamera):
-    def __init__(self, settings):
-        if settings.serial == "absent":
-            raise CameraError("no camera of that number: connect it")
-        noise = np.random.default_rng(0)
-        def expose(time_s):
-            return noise.integers(0, 255, (4, 6, 3), np.uint8)
-        super().__init__(expose, (6, 4), FrameFormat("rgb"), settings.exposure_s)
-        WIRES[-1].camera = self.pulse
-
-def open_trigger(settings):
-    WIRES.append(SimulatedTrigger())
-    return WIRES[-1]
-
-class Projector:
-    identity = None
-    def __init__(self, settings): pass
-    def power(self, on, tell): return True
-    def input(self, source): pass
-    def blank(self, on): pass
-    def status(self): raise RuntimeError
-    def close(self): pass
 
 def encode(mesh, heading):
-    return {".lab": f"{len(mesh.vertices)} of {heading.stem}, {heading.remarks['unit']}".encode()}
+    return {{".lab": f"{{len(mesh.vertices)}} of {{heading.stem}}, {{heading.remarks['unit']}}".encode()}}
 
 LAB = FileFormat("the lab's own", "a count", "m", OPTICAL, encode)
 """
 ENTRIES = """
 [colorphase.cameras]
-lab = lab_rig.drivers:Camera
+lab = lab_rig.drivers:OwnCamera
 broken = lab_rig.missing:Camera
 gone = lab_rig.drivers:Gone
-basler = lab_rig.drivers:Camera
-simulated = lab_rig.drivers:Camera
-twice = lab_rig.drivers:Camera
+basler = lab_rig.drivers:OwnCamera
+simulated = lab_rig.drivers:OwnCamera
+twice = lab_rig.drivers:OwnCamera
 
 [colorphase.triggers]
-lab-pulses = lab_rig.drivers:open_trigger
+lab-pulses = lab_rig.drivers:open_own_trigger
 
 [colorphase.projectors]
-lab-wall = lab_rig.drivers:Projector
+lab-wall = lab_rig.drivers:OwnProjector
 
 [colorphase.formats]
 lab = lab_rig.drivers:LAB
@@ -173,7 +145,7 @@ def test_devices_lists_what_is_announced_and_imports_none_of_it(packages):
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=200, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     rows = [" ".join(line.replace("│", " ").split()) for line in done.stdout.splitlines()]
-    assert "colorphase.triggers lab-pulses lab_rig.drivers:open_trigger of the package lab-rig 1.0" in rows
+    assert "colorphase.triggers lab-pulses lab_rig.drivers:open_own_trigger of the package lab-rig 1.0" in rows
     both = "lab_rig.drivers:Camera of the package lab-rig 1.0 and nowhere:Camera of the package other-rig 1.0"
     assert f"colorphase.cameras twice {both}" in rows
     assert "colorphase.formats lab lab_rig.drivers:LAB of the package lab-rig 1.0" in rows
