@@ -146,6 +146,6 @@ def test_devices_lists_what_is_announced_and_imports_none_of_it(packages):
     assert (done.returncode, done.stderr) == (0, "")
     rows = [" ".join(line.replace("│", " ").split()) for line in done.stdout.splitlines()]
     assert "colorphase.triggers lab-pulses lab_rig.drivers:open_own_trigger of the package lab-rig 1.0" in rows
-    both = "lab_rig.drivers:Camera of the package lab-rig 1.0 and nowhere:Camera of the package other-rig 1.0"
+    both = "lab_rig.drivers:OwnCamera of the package lab-rig 1.0 and nowhere:Camera of the package other-rig 1.0"
     assert f"colorphase.cameras twice {both}" in rows
     assert "colorphase.formats lab lab_rig.drivers:LAB of the package lab-rig 1.0" in rows
