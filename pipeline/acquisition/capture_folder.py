@@ -20,10 +20,10 @@ from hardware.errors import CameraError
 from hardware.protocols import FrameFormat
 from hardware.rig import Burst, Rejected, Rig
 from hardware.settings import RigSettings
-from pipeline.acquisition.live import LiveDecoder
+from pipeline.acquisition.live import LiveDecoder, WatchedFrame
 from pipeline.calibration import Calibration
 from pipeline.errors import OutputError, SettingsError
-from pipeline.files import LEFTOVER, explain, write_atomically
+from pipeline.files import explain, write_atomically
 from pipeline.footage.frame_times import LOG
 from pipeline.footage.zarr_recording import MOST_FRAMES_A_SECOND
 from pipeline.limits import read_plain
@@ -34,13 +34,13 @@ from tikernels.raw.pixel_format import PixelFormat
 
 #: What a capture's folder holds.
 RECORDING, CALIBRATION = "recording.zarr", "calibration.json"
-SETTINGS, PREVIEW = "settings.toml", "live.png"
+SETTINGS = "settings.toml"
 # Bytes of a log; three million frames take as much.
 _MOST_LOG = 2**30
 # Rates are averages over this many bursts.
 _RATE_BURSTS = 10
-# How long kernels of live decoding may be compiled before the first burst is fired all the same, s.
-_LIVE_READY_S = 60.0
+#: How long kernels of live decoding may be compiled before the first burst is fired all the same, s.
+LIVE_READY_S = 60.0
 
 
 @dataclass(frozen=True)
@@ -62,8 +62,13 @@ class CaptureProgress:
     n_frames: int
     n_rejected: int  # bursts that were thrown away
     rate_hz: float  # whole frames a second, of late
-    latency_s: float | None  # from an exposure to its range image; None: none is decoded
     note: str | None  # what went wrong last
+    watched: WatchedFrame | None  # None: none is decoded
+
+    @property
+    def latency_s(self) -> float | None:
+        """Time from the exposure of the frame that was decoded last to its range image; None: none was."""
+        return None if self.watched is None else self.watched.decoder.latency_s
 
 
 def pixel_format(format: FrameFormat) -> PixelFormat:
@@ -174,10 +179,10 @@ class CaptureFolder:
             self._recorder = Recorder(
                 self.recording, format, transfer=transfer, rate_hz=rate_hz, sensor=SensorPart.of(limits)
             )
-            self._live = None
+            self._watched = None
             if plan.live:
-                preview = folder / PREVIEW
-                self._live = LiveDecoder(limits.size_px, decoding, calibration, format, plan.arch, preview=preview)
+                live = LiveDecoder(limits.size_px, decoding, calibration, format, plan.arch)
+                self._watched = WatchedFrame(live, format)
         except BaseException:
             shutil.rmtree(folder, ignore_errors=True)
             raise
@@ -188,10 +193,8 @@ class CaptureFolder:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, *_: object) -> None:
         """Finish; without any whole burst there is nothing."""
         try:
-            if self._live is not None:
-                self._live.close()
-                for left in self._folder.glob(f".*{LEFTOVER}"):  # of a picture that it was just writing
-                    left.unlink(missing_ok=True)
+            if self._watched is not None:
+                self._watched.decoder.close()
             while self._ring:
                 self._write(self._ring.popleft())
             self._recorder.close()
@@ -207,14 +210,13 @@ class CaptureFolder:
 
     def wait_for_live(self) -> None:
         """Wait until live decoding is ready for a frame, or has finished the last one; at most for a minute."""
-        if self._live is not None:
-            self._live.wait(_LIVE_READY_S)
+        if self._watched is not None:
+            self._watched.decoder.wait(LIVE_READY_S)
 
     def keep(self, burst: Burst) -> None:
         """Record a burst, or remember it."""
-        if self._live is not None:
-            newest = burst.frames[-1]
-            self._live.offer(newest.image, self.n_frames + len(burst.frames) - 1, newest.exposed_at_s)
+        if self._watched is not None:
+            self._watched = self._watched.offered(burst.frames[-1], self.n_frames + len(burst.frames) - 1)
         if self._plan.keep_last_s is None:
             self._write(burst)
         else:
@@ -232,11 +234,11 @@ class CaptureFolder:
     @property
     def notes(self) -> tuple[str, ...]:
         """What went wrong beside the bursts, a sentence each."""
-        if self._live is None:
+        if self._watched is None:
             return ()
-        if self._live.ended is not None:
-            return (self._live.ended,)
-        if self._live.latency_s is None:
+        if self._watched.decoder.ended is not None:
+            return (self._watched.decoder.ended,)
+        if self._watched.decoder.latency_s is None:
             return ("the capture was over before live decoding was ready, which takes some seconds at its first start",)
         return ()
 
@@ -250,8 +252,8 @@ class CaptureFolder:
             n_frames=n_bursts * self._frames_a_burst,
             n_rejected=self.n_rejected,
             rate_hz=rate_hz,
-            latency_s=None if self._live is None else self._live.latency_s,
             note=self._note,
+            watched=self._watched,
         )
 
     def _write(self, burst: Burst) -> None:

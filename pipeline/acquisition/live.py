@@ -11,20 +11,19 @@ import threading
 import time
 import warnings
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
-from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from hardware.rig import PairedFrame
 from pipeline.calibration import Calibration
 from pipeline.decoder import Decoder
 from pipeline.decoding.frame import DecodedFrame
-from pipeline.errors import DecodeWarning, FootageError, OutputError
+from pipeline.errors import DecodeWarning, FootageError
 from pipeline.models import ImageArray
-from pipeline.output.range_image import write_range_image
 from pipeline.processes import safe_start
 from pipeline.settings import DecodeSettings
 from tikernels import runtime
@@ -41,8 +40,6 @@ _DIE_S = 0.2
 _POLL_S = 0.05
 # The highest niceness: the process takes the time of the cores that the capturing process, which has none, leaves.
 _NICENESS = 19
-# Between two previews, s: nobody looks at more of them.
-_PREVIEW_S = 0.3
 # Camera px per cycle of the fringe by which kernels are compiled where the settings name none.
 _WARM_PERIOD_PX = 12.0
 # The few ranges beyond these percentiles are mostly wrong.
@@ -115,6 +112,23 @@ class LiveFrame:
         return f"LiveFrame({self.number}, {coverage}, {extent}{1e3 * self.latency_s:.0f} ms after its exposure)"
 
 
+@dataclass(frozen=True, eq=False)
+class WatchedFrame:
+    """The frame that live decoding took last, for whoever watches a capture."""
+
+    decoder: "LiveDecoder"
+    format: PixelFormat
+    number: int = -1  # by which the decoder names it
+    image: ImageArray | None = None  # as the camera sent it; None: none was taken yet
+    temperature_c: float | None = None  # of the camera
+
+    def offered(self, newest: PairedFrame, number: int) -> "WatchedFrame":
+        """Offer a frame, and return it if it is taken, else what was taken before."""
+        if not self.decoder.offer(newest.image, number, newest.exposed_at_s):
+            return self
+        return replace(self, number=number, image=newest.image, temperature_c=newest.frame.temperature_c)
+
+
 class _Decoded(NamedTuple):
     """What the process reports of a frame whose arrays are in shared memory."""
 
@@ -136,7 +150,6 @@ class _LiveTask:
     settings: DecodeSettings
     calibration: Calibration | None
     format: PixelFormat
-    preview: Path | None
     arch: str
 
     def arrays(self) -> tuple[npt.NDArray[Any], npt.NDArray[np.void]]:
@@ -167,8 +180,6 @@ class LiveDecoder:
         Where to compute; a named one never falls back.
     texture : bool
         Whether frames get their texture, which takes half as long again as decoding.
-    preview : Path, optional
-        A PNG of the range image, written a few times per second.
 
     Raises
     ------
@@ -200,7 +211,6 @@ class LiveDecoder:
         arch: str = "auto",
         *,
         texture: bool = False,
-        preview: Path | None = None,
     ) -> None:
         if format.layout == "yuv":
             raise ShapeError("live decoding takes RGB in one plane, or a Bayer mosaic")
@@ -221,9 +231,7 @@ class LiveDecoder:
         # Unnamed files: nothing of them stays, whoever is killed.
         context = multiprocessing.get_context("spawn")
         offered, decoded = (context.RawArray(ctypes.c_uint8, n) for n in (n_bytes, 2 * layout.itemsize))
-        task = _LiveTask(
-            offered, decoded, layout, shape, settings or DecodeSettings(), calibration, format, preview, arch
-        )
+        task = _LiveTask(offered, decoded, layout, shape, settings or DecodeSettings(), calibration, format, arch)
         self._levels, self._slots = task.arrays()
         self._lock = threading.RLock()
         self._decoded: _Decoded | None = None
@@ -396,7 +404,6 @@ class _LiveWorker:
         self._decoder = Decoder(task.settings, task.calibration, arch=task.arch)
         self._image = runtime.empty((*self._levels.shape[:2], 3), task.format.rgb_dtype)
         self._frame: DecodedFrame | None = None
-        self._previewed_s = -np.inf
         self._warm_up()
 
     def decode(self, slot: int, number: int, exposed_at_s: float) -> _Decoded:
@@ -408,8 +415,7 @@ class _LiveWorker:
                 values[...] = np.nan if values.dtype.kind == "f" else 0
             return _Decoded(slot, number, exposed_at_s, time.monotonic() - exposed_at_s, (str(error),))
         self._write(frame, slot)
-        latency_s = time.monotonic() - exposed_at_s
-        return _Decoded(slot, number, exposed_at_s, latency_s, frame.warnings + self._preview(frame))
+        return _Decoded(slot, number, exposed_at_s, time.monotonic() - exposed_at_s, frame.warnings)
 
     def _write(self, frame: DecodedFrame, slot: int) -> None:
         """Read a frame's arrays from the device into a slot."""
@@ -419,16 +425,6 @@ class _LiveWorker:
 
     def _develop(self, levels: npt.NDArray[Any]) -> Any:
         return develop((levels,), self._task.format, stripes=self._task.settings.stripes, out=self._image)
-
-    def _preview(self, frame: DecodedFrame) -> tuple[str, ...]:
-        if self._task.preview is None or time.monotonic() - self._previewed_s < _PREVIEW_S:
-            return ()
-        self._previewed_s = time.monotonic()
-        try:
-            write_range_image(self._task.preview, frame.range_image, frame.mask, frame.range_unit)
-        except OutputError as error:
-            return (str(error),)
-        return ()
 
     def _warm_up(self) -> None:
         """Compile the kernels, by a plane's fringe, so that the first frame takes no longer than others."""

@@ -2,7 +2,7 @@
 
 import signal
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -11,8 +11,17 @@ from types import FrameType
 from hardware.protocols import Camera, Trigger
 from hardware.rig import Rejected, Rig
 from hardware.settings import RigSettings
-from pipeline.acquisition.capture_folder import CaptureFolder, CapturePlan, CaptureProgress, taken
+from pipeline.acquisition.capture_folder import (
+    LIVE_READY_S,
+    CaptureFolder,
+    CapturePlan,
+    CaptureProgress,
+    pixel_format,
+    taken,
+)
+from pipeline.acquisition.live import LiveDecoder, WatchedFrame
 from pipeline.calibration import Calibration
+from pipeline.models import SensorPart
 from pipeline.settings import DecodeSettings
 
 
@@ -106,7 +115,7 @@ def capture_bursts(
     open_instruments : callable
         Open its trigger source and its camera.
     folder : Path
-        The folder to make: the recording, ``log.jsonl``, ``calibration.json`` and, decoding live, ``live.png``.
+        The folder to make: the recording, ``log.jsonl`` and ``calibration.json``.
     plan : CapturePlan
         How much is captured, and how it is kept.
     calibration : Calibration, optional
@@ -160,3 +169,46 @@ def capture_bursts(
             bursts.close()
         notes = rig.notes + kept.notes
     return CaptureSummary(kept.n_bursts, kept.n_frames, kept.n_rejected, kept.recording, stopped, notes)
+
+
+def watch_bursts(
+    settings: RigSettings,
+    open_instruments: Callable[[], tuple[Trigger, Camera]],
+    *,
+    calibration: Calibration | None,
+    decoding: DecodeSettings,
+    arch: str,
+    tell: Callable[[WatchedFrame, int], None],
+) -> None:
+    """Decode the newest frame of one burst after the other, and keep none of them, until KeyboardInterrupt.
+
+    Parameters
+    ----------
+    settings, open_instruments, calibration, decoding
+        See `capture_bursts`.
+    arch : str
+        Where to compute.
+    tell : callable
+        Hears, at the start and after every burst, which frame is decoded, and how many bursts were thrown away.
+
+    Raises
+    ------
+    RigError, TriggerError, CameraError, BurstError, CalibrationError
+        See `capture_bursts`.
+    """
+    rejected: list[Rejected] = []
+    with Rig(settings, open_instruments, rejected.append) as rig:
+        limits = rig.camera.limits
+        format = pixel_format(limits.format)
+        if calibration is not None:
+            calibration = calibration.as_read_out(limits.size_px, SensorPart.of(limits), "the camera's frame")
+        with LiveDecoder(limits.size_px, decoding, calibration, format, arch) as decoder:
+            watched = WatchedFrame(decoder, format)
+            tell(watched, 0)
+            decoder.wait(LIVE_READY_S)
+            number = 0
+            with closing(rig.bursts(endless=True)) as bursts:
+                for burst in bursts:
+                    number += len(burst.frames)
+                    watched = watched.offered(burst.frames[-1], number - 1)
+                    tell(watched, len(rejected))

@@ -1,8 +1,10 @@
 """`colorphase capture`."""
 
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
@@ -10,12 +12,16 @@ from pipeline.acquisition import session
 from pipeline.acquisition.capture_folder import CALIBRATION, SETTINGS, CapturePlan, CaptureProgress
 from pipeline.acquisition.chosen_rig import choose_rig
 from pipeline.acquisition.session import CaptureSummary, Stopping
-from pipeline.cli.console import Arch, SettingsFile, above_zero, read_settings, remark, say, stderr, steps
+from pipeline.cli.console import Arch, PageOptions, SettingsFile, above_zero, read_settings, remark, say, stderr, steps
 from pipeline.errors import SettingsError
 from pipeline.footage.frame_times import LOG
 
+if TYPE_CHECKING:
+    from pipeline.view.live_subject import LiveSubject
+
 #: Exit code where it was stopped before all bursts were there.
 _STOPPED = 130
+_ANYWHERE = PageOptions()
 
 
 def capture(
@@ -25,9 +31,10 @@ def capture(
     bursts: Annotated[int | None, Parameter(validator=above_zero)] = None,
     endless: bool = False,
     keep_last: Annotated[float | None, Parameter(validator=above_zero)] = None,
-    live: bool = False,
+    view: bool = False,
     settings: SettingsFile = None,
     arch: Arch = "auto",
+    at: PageOptions = _ANYWHERE,
 ) -> None:
     """Fire projector and camera, and record every frame with the pulse that it belongs to.
 
@@ -35,7 +42,7 @@ def capture(
     and the rig's calibration.json.
 
     Example: colorphase capture --rig rig.toml --out face --bursts 10, or
-    colorphase capture --rig simulated --out captured --endless --live
+    colorphase capture --rig simulated --out captured --endless --view
 
     Parameters
     ----------
@@ -49,16 +56,18 @@ def capture(
         Let pulses run on without a gap, until Ctrl-C.
     keep_last
         Keep frames in memory until Ctrl-C, and record only the seconds before it that this says.
-    live
-        Decode the newest frame meanwhile, into live.png, and show how long after its exposure that is done.
+    view
+        Decode the newest frame meanwhile, and show it in the browser.
     """
-    if settings is not None and not live:
-        raise SettingsError(f"{settings} is for --live: add --live, or omit --settings")
+    if not view and settings is not None:
+        raise SettingsError(f"{settings} is for --view: add --view, or omit --settings")
+    if not view and at != _ANYWHERE:
+        raise SettingsError("--port and --no-browser are for --view: add --view, or omit them")
     plan = CapturePlan(
         n_bursts=1 if bursts is None and not endless and keep_last is None else bursts,
         endless=endless,
         keep_last_s=keep_last,
-        live=live,
+        live=view,
         arch=arch,
     )
     stopping = Stopping()
@@ -69,10 +78,13 @@ def capture(
             for note in chosen.differences():
                 remark(f"note: {note}")
             show("opening trigger source and camera")
-            with chosen.showing_pattern() as keep:
+            page = _page(out.name, at) if view else nullcontext()
+            with chosen.showing_pattern() as keep, page as subject:
 
                 def tell(progress: CaptureProgress) -> None:
                     show(_line(progress))
+                    if subject is not None and progress.watched is not None:
+                        subject.hear(progress.watched, progress.n_rejected)
                     keep()
 
                 summary = session.capture_bursts(
@@ -88,6 +100,17 @@ def capture(
         _say_summary(summary, out, calibrated=chosen.calibration is not None)
         if not summary.n_frames or (summary.stopped and bursts is not None):
             sys.exit(_STOPPED)
+
+
+@contextmanager
+def _page(title: str, at: PageOptions) -> Iterator["LiveSubject"]:
+    """Serve a page of the capture meanwhile."""
+    from pipeline.cli.view import served  # other captures do without
+    from pipeline.view.live_subject import LiveSubject
+
+    subject = LiveSubject(title)
+    with served(subject, at):
+        yield subject
 
 
 def _say_summary(summary: CaptureSummary, out: Path, *, calibrated: bool) -> None:

@@ -9,6 +9,7 @@ import warnings
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from datetime import timedelta
 from math import inf
 from pathlib import Path
@@ -260,6 +261,17 @@ WhiteLevel = Annotated[
 ProjectorSize = Annotated[str, Parameter(help="The projector's width and height in px.")]
 Make = Annotated[Path | None, Parameter(help="Write the pictures to project into this new folder instead.")]
 NewCalibration = Annotated[Path | None, Parameter(help="The calibration to write.")]
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class PageOptions:
+    """Where the page is."""
+
+    port: Annotated[int, Parameter(validator=bounded(0, 65535))] = 0
+    """The page's port on this machine; left out, one that is free."""
+    browser: bool = True
+    """Open the page in the browser; --no-browser only prints its address."""
 
 
 def size_of(text: str, option: str = "--size") -> tuple[int, int]:

@@ -18,7 +18,7 @@ COMMANDS = (
     "devices",
     "pattern pattern.png",
     "demo --out demo --arch cpu",
-    "capture --rig simulated --out captured --bursts 1 --live --arch cpu",
+    "capture --rig simulated --out captured --bursts 1 --view --no-browser --arch cpu",
     "verify captured",
     "inspect captured/recording.zarr --arch cpu",
     "export captured/recording.zarr --kind mkv",

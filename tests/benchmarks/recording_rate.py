@@ -112,7 +112,7 @@ def paced(images, rig, size_px, folder, format, rate_hz, seconds, live):
     n_frames, latencies, worst, offers = round(rate_hz * seconds), [], 0.0, []
     decoder = None
     if live:
-        decoder = LiveDecoder(size_px, calibration=rig, format=format, arch="cpu", preview=folder / "live.png")
+        decoder = LiveDecoder(size_px, calibration=rig, format=format, arch="cpu")
         while not decoder.ready and decoder.ended is None:
             time.sleep(0.01)
     number = -1

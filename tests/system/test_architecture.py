@@ -21,7 +21,7 @@ FLOORS = {
     "pipeline": (
         "errors text causes showing limits linear_algebra models settings robust files locking processes zarr_chunks "
         "footage recording calibration contrast_code pattern decoding orders decoder simulation planning output "
-        "diagnosis batch acquisition verification cli"
+        "diagnosis batch acquisition view verification cli"
     ),
     "hardware": (
         "errors models plugins drivers settings pulses protocols link display colour_cycle run_start pairing pulse_run "

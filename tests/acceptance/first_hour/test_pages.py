@@ -79,7 +79,7 @@ FIRST_FACE = "first_face.md"
 #: What has been run to make the files that pages read, and takes a minute: the folder that it made is copied.
 MADE = {"colorphase calibrate simulate --out practice": "practice"}
 #: What goes on until Ctrl-C comes, once there is a file by which it has begun.
-ENDLESS = {"colorphase capture --rig rig.toml --out cloth --endless --live": "cloth/recording.part.zarr/frames/c.*"}
+ENDLESS = {"colorphase capture --rig rig.toml --out cloth --endless --view": "cloth/recording.part.zarr/frames/c.*"}
 #: Exit codes that say something of the footage at hand.
 ALLOWED = {"colorphase inspect": {0, 3}}
 #: What a page's Python takes for given.

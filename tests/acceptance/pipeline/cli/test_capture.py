@@ -15,7 +15,7 @@ ENDS_WITHIN_S = 15.0
 
 
 @pytest.mark.skipif(os.name != "posix", reason="a terminal's Ctrl-C is a signal")
-@pytest.mark.parametrize("options", [(), ("--live",)], ids=["", "live"])
+@pytest.mark.parametrize("options", [(), ("--view", "--no-browser")], ids=["", "view"])
 @pytest.mark.parametrize("said", ["starting", "simulating", "of 1 burst"])
 def test_ctrl_c_ends_a_capture_within_a_second_and_what_was_recorded_is_whole(tmp_path, options, said):
     """While the device starts, while kernels are compiled, and while bursts are recorded."""

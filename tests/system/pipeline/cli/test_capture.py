@@ -1,6 +1,7 @@
 """`colorphase capture` as its user meets it; what is recorded has tests of its own."""
 
 import json
+from types import SimpleNamespace
 
 import pytest
 
@@ -44,10 +45,12 @@ def test_bursts_of_a_simulated_rig_are_recorded_and_the_next_command_is_said(com
 
 def test_a_short_capture_waits_for_live_decoding(command, small, tmp_path):
     (tmp_path / "rig.toml").write_text(SIMULATED, encoding="utf-8")
-    ended, _, complained = command("capture", "--rig", "rig.toml", "--out", "face", "--live", "--arch", "cpu")
+    ended, said, complained = command(
+        "capture", "--rig", "rig.toml", "--out", "face", "--view", "--no-browser", "--arch", "cpu"
+    )
     assert ended == 0
     assert "over before live decoding" not in complained
-    assert (tmp_path / "face" / "live.png").exists()
+    assert "face is shown at http://127.0.0.1:" in said
 
 
 def test_a_simulated_webcam_is_recorded_with_its_transfer(command, small, tmp_path):
@@ -63,7 +66,7 @@ def test_a_simulated_webcam_is_recorded_with_its_transfer(command, small, tmp_pa
     [
         (SIMULATED, ("--bursts", "0"), 2, "must be above 0, and a number"),
         (SIMULATED, ("--keep-last", "inf"), 2, "must be above 0, and a number"),
-        (SIMULATED, ("--settings", "rig.toml"), 1, "add --live, or omit --settings"),
+        (SIMULATED, ("--settings", "rig.toml"), 1, "add --view, or omit --settings"),
         (SIMULATED.replace("period_s = 0.02", "period_s = 0.001"), (), 1, "make the period that long"),
         (SIMULATED.replace('"simulated"', '"basler"', 1), (), 1, 'trigger.driver: must be "box", '),
         (SIMULATED.replace('"simulated"', '"box"', 1), (), 1, "a simulated trigger source and a simulated camera"),
@@ -81,9 +84,8 @@ def test_what_cannot_be_captured_is_one_line(command, small, tmp_path, rig, argu
 
 
 def test_the_line_that_shows_how_it_stands():
-    stands = CaptureProgress(
-        n_bursts=1, n_frames=25, n_rejected=2, rate_hz=49.6, latency_s=0.0312, note="pulse 3: lost"
-    )
+    watched = SimpleNamespace(decoder=SimpleNamespace(latency_s=0.0312))
+    stands = CaptureProgress(n_bursts=1, n_frames=25, n_rejected=2, rate_hz=49.6, note="pulse 3: lost", watched=watched)
     assert _frames(stands) == "25 frames of 1 burst"
     assert _line(stands) == (
         "25 frames of 1 burst, 50 frames/s, 31 ms from strobe to range image, "

@@ -26,7 +26,7 @@ from pipeline.cli.main import command_line
         (("decode", "frame.png", "--out", "x", "--roi", "0,0,64,64"), "only footage takes --roi: omit"),
         (("decode", "pictures", "--out", "x", "--fields", "mask", "--export", "ply"), "made of range_image: add that"),
         (("decode", "pictures", "--out", "memory://x", "--export", "ply"), "run colorphase export"),
-        (("capture", "--rig", "simulated", "--out", "x", "--settings", "settings.toml"), "add --live, or omit"),
+        (("capture", "--rig", "simulated", "--out", "x", "--settings", "settings.toml"), "add --view, or omit"),
         (("capture", "--rig", "black.png", "--out", "x"), "black.png is not what it should be: it is no text file"),
         (("render", "frame.png", "--out", "x.png"), "no picture of depth"),
         (("render", "none.ply", "--out", "x.png"), "cannot read none.ply"),
