@@ -97,6 +97,7 @@ def test_a_result_is_drawn_played_and_measured(film):
         click(tab, "map", 40, 90)
         assert re.search(r"plane of 3 points: RMS 0.0000 mm, tilted [\d.]+ degrees", measured(tab))
         tab.select_option("#field", "deviation")
+        until(tab, "viewer.ranges.deviation")
         assert tab.evaluate("Math.max(...viewer.ranges.deviation.map(Math.abs))") < 3
         # The surface takes clicks, too.
         tab.click("#clear")
