@@ -23,6 +23,7 @@ class Surface {
     this.marks = null;
     this.places = null; // (N, 3) of the frame's points
     this.drawn = 0;
+    this.asked = false;
     new ResizeObserver(() => this.draw()).observe(canvas);
   }
 
@@ -90,7 +91,15 @@ class Surface {
     this.draw();
   }
 
+  // Draw before the next picture of the screen, once however often that is asked for.
   draw() {
+    if (this.asked) return;
+    this.asked = true;
+    requestAnimationFrame(() => this.drawNow());
+  }
+
+  drawNow() {
+    this.asked = false;
     const { clientWidth: width, clientHeight: height } = this.canvas;
     if (!width || !height) return;
     this.renderer.setPixelRatio(window.devicePixelRatio || 1);

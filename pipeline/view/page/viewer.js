@@ -473,7 +473,7 @@ class Viewer {
   }
 
   save() {
-    this.surface.draw();
+    this.surface.drawNow();
     const link = document.createElement("a");
     link.download = `${this.about.title.replace(/[^\w.-]+/g, "_")}_${this.frame?.number ?? 0}.png`;
     link.href = this.surface.canvas.toDataURL("image/png");
