@@ -1,7 +1,7 @@
 """How objects show themselves in a notebook: as HTML with a picture, figures and warnings, or as a figure; and save.
 
 What draws an object is often in a room above its class. So classes call the functions below, which load
-`pipeline.output.notebook` when they first meet an object: it registers how each is shown.
+`pipeline.output.notebook` or `pipeline.view.embedded` when they first meet an object: it registers how each is shown.
 """
 
 import base64
@@ -53,6 +53,15 @@ def save_frame(frame: object, path: Path) -> None:
     """Write a frame as a file; see `FrameFields.save`."""
     if _just_loaded():
         save_frame(frame, path)
+
+
+@singledispatch
+def view_frames(frames: object) -> Any:
+    """Return a page that shows a frame, or a result's frames; see `FrameFields.view`."""
+    if "pipeline.view.embedded" not in sys.modules:
+        import_module("pipeline.view.embedded")
+        return view_frames(frames)
+    raise OutputError(f"a {type(frames).__name__} has no page: pass a decoded frame or a result")
 
 
 def _just_loaded() -> bool:

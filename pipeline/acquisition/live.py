@@ -114,7 +114,7 @@ class LiveFrame:
 
 @dataclass(frozen=True, eq=False)
 class WatchedFrame:
-    """The frame that live decoding took last, for whoever watches a capture."""
+    """The frame that live decoding accepted last, for a viewer of the capture."""
 
     decoder: "LiveDecoder"
     format: PixelFormat
@@ -123,7 +123,7 @@ class WatchedFrame:
     temperature_c: float | None = None  # of the camera
 
     def offered(self, newest: PairedFrame, number: int) -> "WatchedFrame":
-        """Offer a frame, and return it if it is taken, else what was taken before."""
+        """Offer a frame, and return it if it was accepted, else the frame before."""
         if not self.decoder.offer(newest.image, number, newest.exposed_at_s):
             return self
         return replace(self, number=number, image=newest.image, temperature_c=newest.frame.temperature_c)

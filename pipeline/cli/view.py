@@ -104,7 +104,7 @@ def _watch(rig: str, settings: Path | None, arch: str, at: PageOptions) -> None:
 
 @contextmanager
 def served(subject: Subject, at: PageOptions) -> Iterator[None]:
-    """Serve a page meanwhile, and say where it is."""
+    """Serve a page meanwhile, and print its address."""
     with ViewServer(subject, at.port) as server:
         thread = threading.Thread(target=server.serve_forever, name="page", daemon=True)
         thread.start()
@@ -121,7 +121,7 @@ def served(subject: Subject, at: PageOptions) -> Iterator[None]:
 
 
 def _has_screen() -> bool:
-    """Return whether a browser would have a window: one for terminals would take this one."""
+    """Return whether a browser can open a window; a text browser would occupy the terminal."""
     return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from pipeline.calibration.lens import Lens
 from pipeline.decoding.labels import FrameLabels, make_dataset
 from pipeline.errors import SettingsError
-from pipeline.showing import plot_image, save_frame, to_html, to_pyvista
+from pipeline.showing import plot_image, save_frame, to_html, to_pyvista, view_frames
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
     from pipeline.decoding.fields import Field
+    from pipeline.view.embedded import EmbeddedPage
 
 Floats = npt.NDArray[np.float32]
 
@@ -111,6 +112,14 @@ class FrameFields(ABC):
 
     def _repr_html_(self) -> str | None:
         return to_html(self)
+
+    def view(self) -> "EmbeddedPage":
+        """Return a page for a notebook in which the frame can be turned and measured, as by `colorphase view`.
+
+        The frame is in the page, every pixel of it if there are no more than 660,000: the notebook grows by some MB.
+        """
+        page: EmbeddedPage = view_frames(self)
+        return page
 
     def plot(self, field: str = "range_image", ax: "Axes | None" = None) -> "FigureBase":
         """Draw a field with its scale, in its unit, from its 1st to its 99th percentile.

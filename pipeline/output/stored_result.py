@@ -5,7 +5,7 @@ import warnings
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
-from typing import Any, overload
+from typing import TYPE_CHECKING, Any, overload
 
 from pipeline.calibration.lens import Lens
 from pipeline.decoding.fields import Field
@@ -23,8 +23,11 @@ from pipeline.output.store_files import (
     read_mark,
     read_metadata,
 )
-from pipeline.showing import to_html
+from pipeline.showing import to_html, view_frames
 from pipeline.zarr_chunks import decode_chunk
+
+if TYPE_CHECKING:
+    from pipeline.view.embedded import EmbeddedPage
 
 
 def mesh_fields(*, in_mm: bool) -> tuple[str, str]:
@@ -273,6 +276,11 @@ class StoredResult:
     def camera(self) -> Lens | None:
         """The camera whose pixels the frames have; None: without a calibration."""
         return self._metadata.says.camera
+
+    def view(self) -> "EmbeddedPage":
+        """Return a page for a notebook with up to 24 frames, evenly spaced; see `FrameFields.view`."""
+        page: EmbeddedPage = view_frames(self)
+        return page
 
     def _repr_html_(self) -> str | None:
         return to_html(self)

@@ -1,1 +1,1 @@
-"""A page that shows frames: served on loopback, or with its frames in it."""
+"""The viewer: a page that is served on loopback, or that contains its frames."""

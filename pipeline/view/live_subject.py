@@ -1,4 +1,4 @@
-"""What a rig's camera sees now: the newest decoded frame, and whether light, contrast and focus are right."""
+"""The live subject of the viewer: the newest decoded frame of a rig, its exposure, contrast and sharpness."""
 
 import threading
 import time
@@ -15,32 +15,33 @@ from pipeline.view.message import ViewedFrame
 from pipeline.view.subjects import Subject, as_bytes
 from tikernels.raw.pixel_format import PixelFormat
 
-# Between two looks whether there is a newer frame, s: little of a frame's time.
+# Interval at which a newer frame is looked for, s: little compared with the time per frame.
 _POLL_S = 0.004
-# Bars of a histogram; and every how many pixels are counted.
+# Bins of a histogram, and the step between the pixels that are counted.
 _BARS, _EVERY = 64, 4
-# Side of the blocks, px of every fourth, over which the fringe is seen whole; darker ones show none, of full scale.
+# Side of the blocks that contain whole fringes, in px of the subsampled picture; blocks darker than this share of full
+# scale are not lit.
 _BLOCK, _DARK = 8, 0.04
 
 
 class LiveSubject(Subject):
-    """A capture that is watched.
+    """A running capture.
 
     Parameters
     ----------
     title : str
-        The rig's name.
+        Title of the page.
     """
 
     def __init__(self, title: str) -> None:
         self.title = title
         self._watched: WatchedFrame | None = None
         self._n_rejected = 0
-        self._images: dict[int, tuple[ImageArray, float | None]] = {}  # of the two frames that were taken last
+        self._images: dict[int, tuple[ImageArray, float | None]] = {}  # of the last two frames that were offered
         self._started = threading.Event()
 
     def hear(self, watched: WatchedFrame, n_rejected: int) -> None:
-        """Take how a capture stands; called after every burst."""
+        """Note the state of the capture; called after every burst."""
         if watched.image is not None and watched.number not in self._images:
             newest = {watched.number: (watched.image, watched.temperature_c)}
             self._images = dict([*self._images.items()][-1:]) | newest
@@ -49,9 +50,9 @@ class LiveSubject(Subject):
 
     def about(self) -> dict[str, Any]:
         """See `Subject`."""
-        newest = self._newest(60.0)
+        newest = self._newest(0.0)
         if newest is None:
-            raise FootageError("the camera has sent no frame yet: reload this page in a moment")
+            raise FootageError("waiting for the first frame: compiling kernels takes up to a minute at the first start")
         height, width = newest.mask.shape
         unit = newest.range_unit
         maps = {name: {"unit": unit, "kind": "number"} for name in ("depth", "sigma")}
@@ -71,7 +72,7 @@ class LiveSubject(Subject):
         return None if newest is None else self._viewed(newest, names)
 
     def _newest(self, most_s: float, after: int = -1) -> LiveFrame | None:
-        """Return the newest frame, once there is one after another; None: not in time."""
+        """Return the newest frame once its number exceeds `after`; None: it did not come in time."""
         until_s = time.monotonic() + most_s
         self._started.wait(most_s)
         while self._watched is not None:
@@ -110,7 +111,7 @@ class LiveSubject(Subject):
 
 
 def _seen(image: ImageArray, format: PixelFormat) -> npt.NDArray[np.float32]:
-    """Return a camera's frame as RGB, (H, W, 3), 1 at full scale; of a mosaic four pixels share their colours."""
+    """Return a camera's frame as RGB, (H, W, 3), 1 at full scale; the four pixels of a mosaic's cell share a colour."""
     shares = image.astype(np.float32) * np.float32(1 / (format.white_level * 2**format.shift))
     if format.layout == "rgb":
         return shares[..., [format.channels.index(color) for color in "rgb"]]
@@ -126,7 +127,7 @@ def _seen(image: ImageArray, format: PixelFormat) -> npt.NDArray[np.float32]:
 
 
 def _in_words(picture: npt.NDArray[np.float32], columns: npt.NDArray[np.float32]) -> str:
-    """Say how strong the fringes are, how sharp all is, and how much is clipped, by some pixels and some columns."""
+    """Describe fringe contrast, sharpness (mean step from row to row) and the share of clipped pixels."""
     height, width = (side // _BLOCK * _BLOCK for side in picture.shape[:2])
     blocks = picture[:height, :width].reshape(height // _BLOCK, _BLOCK, width // _BLOCK, _BLOCK, 3)
     means, spreads = blocks.mean(axis=(1, 3)), blocks.std(axis=(1, 3))

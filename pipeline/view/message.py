@@ -1,4 +1,4 @@
-"""A frame as the page gets it: a line of JSON, and arrays behind it."""
+"""Binary messages for the page: a JSON header, followed by arrays."""
 
 import json
 import struct
@@ -15,7 +15,7 @@ from pipeline.errors import SettingsError
 
 Array = npt.NDArray[Any]
 
-# What the page calls a map, and the fields that it may be of, the first that there is.
+# Maps of the page, and the fields that they show: the first one that exists.
 _MAPS = {
     "depth": ("range_image", "points"),
     "sigma": ("point_sigma", "phase_sigma"),
@@ -28,19 +28,19 @@ _MAPS = {
     "region": ("region",),
     "phase": ("wrapped_phase",),
 }
-# Arrays begin at multiples of this many bytes.
+# Alignment of the arrays, bytes.
 _ALIGNMENT = 8
 
 
 def maps_of(stored: Iterable[str], *, in_mm: bool) -> dict[str, str]:
-    """Return the field of every map that a frame with these fields has."""
+    """Return the field behind each map, for a frame with these fields."""
     there = {name for name in stored if in_mm or not FIELDS[name].in_mm}
     found = {name: next((field for field in fields if field in there), None) for name, fields in _MAPS.items()}
     return {name: field for name, field in found.items() if field is not None}
 
 
 def describe_maps(stored: Iterable[str], *, in_mm: bool) -> dict[str, dict[str, str]]:
-    """Return what the page is to know of each map: its unit, and whether it is a colour."""
+    """Return unit and kind (color or number) of each map."""
     unit = "mm" if in_mm else "rad"
     described = {}
     for name, source in maps_of(stored, in_mm=in_mm).items():
@@ -58,12 +58,12 @@ class ViewedFrame:
     Attributes
     ----------
     arrays : mapping of str to array
-        By name: maps (H, W) or (H, W, 3), ``points`` (H, W, 3), ``picture`` (H, W, 3) uint8; or of a mesh ``points``
-        (N, 3), ``faces`` (M, 3) and a value a vertex.
+        By name: maps (H, W) or (H, W, 3), ``points`` (H, W, 3), ``picture`` (H, W, 3) uint8; of a mesh ``points``
+        (N, 3), ``faces`` (M, 3) and one value per vertex.
     number, time_s, dated, warnings
         See `FrameFields`.
     more : mapping
-        What else the page gets, by name: numbers and texts.
+        Further entries of the header.
     """
 
     arrays: Mapping[str, Array]
@@ -75,18 +75,18 @@ class ViewedFrame:
 
     @classmethod
     def of(cls, frame: FrameFields, names: Iterable[str], picture: Array | None = None) -> "ViewedFrame":
-        """Return a decoded frame's or a stored frame's, with the maps of these names that it has.
+        """Return a decoded or stored frame with those of the named maps that it has.
 
         Raises
         ------
         FootageError
-            One of them is damaged.
+            A field is damaged.
         """
         fields = maps_of(frame.fields, in_mm=frame.calibrated) | {"points": "points"}
         if "points" not in frame.fields or not frame.calibrated:
             del fields["points"]
         elif fields["depth"] == "points" or "points" in names:
-            fields.pop("depth")  # the page has it of the points
+            fields.pop("depth")  # the page takes depth from the points
         arrays = {name: getattr(frame, fields[name]) for name in dict.fromkeys(names) if name in fields}
         if picture is not None and "picture" in names:
             arrays["picture"] = picture
@@ -98,12 +98,12 @@ class ViewedFrame:
         Parameters
         ----------
         step : int
-            Of a grid of pixels every how many are kept, along rows and columns.
+            Keep every `step`-th pixel along rows and columns; a mesh is kept whole.
 
         Raises
         ------
         SettingsError
-            The step is none.
+            The step is below 1.
         """
         if step < 1:
             raise SettingsError(f"step is {step}: give 1 or more")
@@ -134,7 +134,7 @@ class ViewedFrame:
 
 
 def _plain(values: Array) -> Array:
-    """Return values in one of the types that the page reads."""
+    """Return values in a type that the page reads."""
     kinds = {"f": "<f4", "i": "<i4", "b": "u1"}
     kind = "u1" if values.dtype.itemsize == 1 else "<u4"
     return values.astype(kinds.get(values.dtype.kind, kind), copy=False)

@@ -1,6 +1,7 @@
-"""The page: one HTML text that needs nothing else, and takes its frames from a server, or out of itself."""
+"""The page: one self-contained HTML document that loads its frames from a server or contains them."""
 
 import base64
+import gzip
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
@@ -15,11 +16,13 @@ from pipeline.output.pictures.picture_overlay import ColorScale
 from pipeline.view.message import ViewedFrame
 
 _SCRIPTS = ("three.min.js", "frames.js", "measure.js", "panes.js", "surface.js", "viewer.js")
+# Of compression: a higher one takes twice as long, for a fiftieth less.
+_LEVEL = 1
 
 
 @cache
 def color_table() -> str:
-    """Return the colours of values, 256 times RGB from the lowest, as Base64."""
+    """Return the colour map as 256 RGB triples in Base64, lowest value first."""
     colors = ColorScale(0.0, 255.0, "", "").colors(np.arange(256.0, dtype=np.float32))
     return base64.b64encode(colors.tobytes()).decode("ascii")
 
@@ -30,14 +33,15 @@ def page(about: Mapping[str, Any] | None = None, frames: Sequence[ViewedFrame] =
     Parameters
     ----------
     about : mapping, optional
-        What is shown, see `Subject.about`, if the page has its frames in it; None: it asks a server for both.
+        Description of the subject, see `Subject.about`, of a page that contains its frames; None: the page requests
+        both from its server.
     frames : sequence of ViewedFrame
-        The frames in it.
+        The frames that it contains.
     step : int
-        Every how many pixels of them.
+        Step between the pixels that are kept.
     """
     styles, scripts = _text("viewer.css"), [_text(name) for name in _SCRIPTS]
-    # Nothing else runs and nothing goes out, whatever texts a frame brings.
+    # No other script runs and no request leaves the page, whatever texts a frame contains.
     policy = "; ".join(
         [
             "default-src 'none'",
@@ -51,7 +55,7 @@ def page(about: Mapping[str, Any] | None = None, frames: Sequence[ViewedFrame] =
     )
     data = ""
     if about is not None:
-        packed = [base64.b64encode(frame.pack(step)).decode("ascii") for frame in frames]
+        packed = [base64.b64encode(gzip.compress(frame.pack(step), _LEVEL)).decode("ascii") for frame in frames]
         data = f'<script type="application/json" id="about">{_safe(about)}</script>' + "".join(
             f'<script type="text/plain" id="frame-{place}">{text}</script>' for place, text in enumerate(packed)
         )
@@ -65,7 +69,7 @@ def page(about: Mapping[str, Any] | None = None, frames: Sequence[ViewedFrame] =
 
 
 def _safe(values: Mapping[str, Any]) -> str:
-    """Return JSON that ends no script, whatever is in it."""
+    """Return JSON that cannot end the script element that it is in."""
     return json.dumps(values).replace("<", "\\u003c")
 
 

@@ -1,4 +1,4 @@
-"""A server that only its user reaches: on loopback, under a random address, for the page's own requests."""
+"""The viewer's private server: on loopback, under a random path, for the page's own requests only."""
 
 import hmac
 import json
@@ -12,33 +12,34 @@ from pipeline.view.subjects import Subject
 from tikernels.errors import Error
 
 _HOST = "127.0.0.1"
-# By these names a browser may know this machine, or the end of a tunnel to it; others are of strangers' pages.
+# Host names of loopback, or of the near end of a tunnel. Any other name was made to resolve to loopback by a foreign
+# page.
 _NAMES = ("127.0.0.1", "localhost", "[::1]")
-# A connection that says nothing for so long is closed, s.
+# Idle connections are closed after this time, s.
 _SILENCE_S = 60.0
 # The longest wait for a live frame, s.
 _LIVE_S = 5.0
 
 
 class ViewServer(ThreadingHTTPServer):
-    """Shows a subject until it is closed.
+    """Serve the page of a subject until closed.
 
     Parameters
     ----------
     subject : Subject
-        What is shown.
+        The frames to show.
     port : int
-        Of loopback; 0: one that is free.
+        Port on loopback; 0: a free one.
 
     Attributes
     ----------
     address : str
-        Where a browser finds it.
+        URL of the page.
 
     Raises
     ------
     SettingsError
-        The port is taken.
+        The port is in use.
     """
 
     daemon_threads = True
@@ -54,7 +55,7 @@ class ViewServer(ThreadingHTTPServer):
         self.address = f"http://{_HOST}:{self.server_port}/{self.token}/"
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """Say nothing of a browser that went away."""
+        """Ignore browsers that disconnect."""
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -72,7 +73,7 @@ class _Handler(BaseHTTPRequestHandler):
         try:
             self._answer_route(route, asked)
         except (Error, ValueError) as error:
-            line = str(error) if isinstance(error, Error) else "that address is none of this page's"
+            line = str(error) if isinstance(error, Error) else "unknown request"
             self._answer(422, json.dumps({"error": line}).encode(), "application/json")
 
     def _answer_route(self, route: list[str], asked: dict[str, str]) -> None:
@@ -95,7 +96,7 @@ class _Handler(BaseHTTPRequestHandler):
                 raise ValueError
 
     def _is_own_page(self) -> bool:
-        """Return whether a request comes of nobody else's page: a name that leads here by DNS is no name of ours."""
+        """Return whether a request comes from this page and not from a foreign one, or through a foreign host name."""
         host = self.headers.get("Host", "")
         if host.rpartition(":")[0] not in _NAMES and host not in _NAMES:
             return False
@@ -116,4 +117,4 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(body)
 
     def log_message(self, format: str, *args: object) -> None:
-        """Write nothing: addresses hold the token."""
+        """Log nothing: request lines contain the token."""

@@ -1,4 +1,4 @@
-"""What can be looked at: a result, footage that is decoded as it is looked at, or a mesh."""
+"""Subjects of the viewer: a result, footage that is decoded on demand, or a mesh."""
 
 import threading
 import time
@@ -26,36 +26,36 @@ from tikernels import runtime
 from tikernels.raw.development import develop
 from tikernels.raw.linearization import WHITE_LEVELS
 
-# Where nothing says how fast frames came.
+# The frame rate where the times of frames are unknown.
 _RATE_HZ = 25.0
 # A result whose last frame is younger than this may still be growing, s.
 _FRESH_S = 120.0
 
 
 class Subject(ABC):
-    """What a page shows. Methods may be called from any thread."""
+    """Frames for the page. Methods may be called from any thread."""
 
     title: str
 
     @abstractmethod
     def about(self) -> dict[str, Any]:
-        """Return what the page is to know before it asks for frames, as JSON takes it."""
+        """Return title, size, maps and number of frames, for JSON."""
 
     @abstractmethod
     def frame(self, place: int, names: Sequence[str]) -> ViewedFrame:
-        """Return a frame by its place among all, from 0, with the maps of these names that it has.
+        """Return a frame by its index, from 0, with those of the named maps that it has.
 
         Raises
         ------
         FootageError
-            It is damaged, or there is none.
+            The frame is damaged or does not exist.
         """
 
     def next(self, after: int, names: Sequence[str], most_s: float) -> ViewedFrame | None:
-        """Return a live frame that is newer than one, or None where none comes in time."""
-        raise FootageError(f"{self.title} is not live: it has frames by number")
+        """Return a live frame that is newer than frame number `after`; None: none came in time."""
+        raise FootageError(f"{self.title} is not live: request frames by index")
 
-    def close(self) -> None:  # noqa: B027 (most hold nothing)
+    def close(self) -> None:  # noqa: B027 (most hold no resources)
         """Let go of files and processes."""
 
     def _describe(
@@ -83,7 +83,7 @@ class Subject(ABC):
 
 
 class ResultSubject(Subject):
-    """A result, of which every frame is read when it is looked at; it may grow meanwhile.
+    """A stored result. Frames are read on demand; the result may grow meanwhile.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ class ResultSubject(Subject):
     Raises
     ------
     FootageError
-        There is none, or it holds nothing that can be shown.
+        It does not exist, or holds no field that can be shown.
     """
 
     def __init__(self, location: str | Path) -> None:
@@ -121,24 +121,24 @@ class ResultSubject(Subject):
         return self._describe(self._maps(), count=len(done), size_px=result.size_px, rate_hz=rate_hz, growing=growing)
 
     def _last_written_s(self) -> float:
-        """Return when a frame was written; behind a URL, where nothing tells, long ago."""
+        """Return the time at which a frame was last written; 0 for a URL, where it is unknown."""
         marks = Path(self._location) / DONE
         return marks.stat().st_mtime if marks.is_dir() else 0.0
 
     def frame(self, place: int, names: Sequence[str]) -> ViewedFrame:
         """See `Subject`."""
         if not 0 <= place < len(self._result):
-            raise FootageError(f"{self.title} has {len(self._result)} frames, and no place {place}")
+            raise FootageError(f"{self.title} has {len(self._result)} frames: index {place} is out of range")
         return ViewedFrame.of(self._result[place], names)
 
 
 class FootageSubject(Subject):
-    """Footage, of which every frame is decoded when it is looked at, by itself.
+    """Footage. Every frame is decoded on demand, without the frame before.
 
     Parameters
     ----------
     footage : Footage
-        A picture, a folder of pictures, a video or a recording; it is closed with the subject.
+        A picture, a folder of pictures, a video or a recording; closed with the subject.
     settings : DecodeSettings
         How to decode.
     calibration : Calibration or None
@@ -158,7 +158,7 @@ class FootageSubject(Subject):
         self._decoder = Decoder(settings, calibration, arch=arch)
         self._in_mm = calibration is not None and calibration.has_geometry
         self._lock = threading.Lock()
-        self._seen: tuple[int, Any, ImageArray] | None = None  # the frame that was looked at last
+        self._seen: tuple[int, Any, ImageArray] | None = None  # the last frame shown
 
     def about(self) -> dict[str, Any]:
         """See `Subject`."""
@@ -170,7 +170,7 @@ class FootageSubject(Subject):
     def frame(self, place: int, names: Sequence[str]) -> ViewedFrame:
         """See `Subject`."""
         if not 0 <= place < len(self._footage):
-            raise FootageError(f"{self.title} has {len(self._footage)} frames, and no place {place}")
+            raise FootageError(f"{self.title} has {len(self._footage)} frames: index {place} is out of range")
         with self._lock:
             if self._seen is None or self._seen[0] != place:
                 (stored,) = self._footage.frames(place, place + 1)
@@ -193,9 +193,9 @@ class MeshSubject(Subject):
     Parameters
     ----------
     mesh : Mesh
-        What is shown.
+        The mesh.
     title : str
-        Its name.
+        Title of the page.
     """
 
     def __init__(self, mesh: Mesh, title: str) -> None:
@@ -220,13 +220,13 @@ class MeshSubject(Subject):
         return self._frame
 
 
-def is_store(place: str) -> bool:
-    """Return whether a place is that of a ``result.zarr``, and not of a recording; behind a URL there is no other."""
-    return "://" in place or Path(place, DONE).is_dir()
+def is_store(path: str) -> bool:
+    """Return whether a path is a ``result.zarr`` rather than a recording; a URL always is."""
+    return "://" in path or Path(path, DONE).is_dir()
 
 
 def as_bytes(levels: ImageArray, *, linear: bool) -> npt.NDArray[np.uint8]:
-    """Return a picture as a screen shows it, in 8 bits; light is encoded as sRGB does, roughly: by a power of 1/2.2."""
+    """Return a picture in 8 bits for the screen; linear light is encoded by a power of 1/2.2, close to sRGB."""
     if levels.dtype == np.float32:
         return _shown(levels, linear=linear)
     # A table is faster than a power for each value.

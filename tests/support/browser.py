@@ -11,7 +11,7 @@ from support.missing import skip_but_fail_in_ci
 #: As root there is no sandbox; WebGL is drawn by the processor.
 _OPTIONS = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 #: What a page may take on a busy machine, ms.
-PATIENCE_MS = 60_000
+PATIENCE_MS = 120_000
 
 
 @contextmanager

@@ -200,3 +200,11 @@ def test_importing_does_nothing_else(module):
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+def test_only_who_looks_imports_the_viewer():
+    commands = [path.stem for path in sources("pipeline") if path.parent.name == "cli" and path.stem != "view"]
+    source = "import sys, colorphase\n" + "".join(f"import pipeline.cli.{name}\n" for name in commands)
+    source += "assert not [name for name in sys.modules if name.startswith('pipeline.view')]"
+    done = subprocess.run([sys.executable, "-c", source], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

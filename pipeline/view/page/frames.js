@@ -52,6 +52,7 @@ class PackedFrames {
 
   async frame(place) {
     const text = document.getElementById(`frame-${place}`).textContent;
-    return unpack(Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)).buffer);
+    const packed = new Blob([Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0))]);
+    return unpack(await new Response(packed.stream().pipeThrough(new DecompressionStream("gzip"))).arrayBuffer());
   }
 }

@@ -31,7 +31,15 @@ class Viewer {
   }
 
   async start() {
-    this.about = await this.source.about();
+    while (!this.about) {
+      try {
+        this.about = await this.source.about();
+      } catch (error) {
+        this.say(error.message);
+        await new Promise((resolve) => setTimeout(resolve, GROWTH_MS));
+      }
+    }
+    this.say("");
     this.lut = Uint8Array.from(atob(this.about.colors), (letter) => letter.charCodeAt(0));
     document.title = document.querySelector("h1").textContent = this.about.title;
     document.querySelector("main").classList.toggle("alone", !this.about.size);

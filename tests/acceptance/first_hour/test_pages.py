@@ -146,7 +146,7 @@ class Reader:
     def __init__(self, folder: Path, things: Path, programs: Path) -> None:
         self._folder, self._things = folder, things
         path = f"{programs}{os.pathsep}{os.environ['PATH']}"
-        self._environment = {**os.environ, "PATH": path, "COLUMNS": "200"}
+        self._environment = {**os.environ, "PATH": path, "COLUMNS": "200", "DISPLAY": ""}  # no browser opens
 
     def run(self, line: str) -> None:
         """Run a command line; bring first what it reads, where no command before has made it."""
@@ -162,6 +162,10 @@ class Reader:
             try:
                 if line in ENDLESS:
                     self._wait_for(ENDLESS[line], process)
+                    os.killpg(process.pid, signal.SIGINT)
+                elif line.startswith("colorphase view"):
+                    heard = iter(process.stdout.readline, "")
+                    assert any(" is shown at http://127.0.0.1:" in each for each in heard), line
                     os.killpg(process.pid, signal.SIGINT)
                 said, _ = process.communicate(timeout=COMMAND_S)
             finally:

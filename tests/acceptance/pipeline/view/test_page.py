@@ -221,6 +221,7 @@ def test_a_rig_is_watched(tmp_path):
     """Its newest frame, how well the light is set, and the same page while it records."""
     command = ("view", "--rig", "simulated", "--no-browser", "--arch", "cpu")
     with started(tmp_path, *command) as address, browsing() as tab:
+        tab.allowed.append("422")  # until the first frame is there
         tab.goto(address)
         tab.wait_for_selector("body[data-shown]")
         number = tab.evaluate("viewer.frame.number")
@@ -247,3 +248,19 @@ def started(folder, *words):
             process.send_signal(signal.SIGINT)
             process.communicate(timeout=60)
     assert process.returncode == 0
+
+
+def test_a_notebook_shows_frames_without_a_server(film, tmp_path):
+    result = colorphase.StoredResult(film / "out" / "result.zarr")
+    for name, shown_page, count in (("frame", result[1].view(), 1), ("result", result.view(), 3)):
+        file = tmp_path / f"{name}.html"
+        file.write_text(f"<meta charset=utf-8>{shown_page._repr_html_()}", encoding="utf-8")
+        with browsing() as tab:
+            tab.goto(file.as_uri())
+            (inner,) = tab.main_frame.child_frames
+            inner.wait_for_selector("body[data-shown]")
+            assert inner.evaluate("viewer.about.count") == count
+            assert inner.evaluate("viewer.frame.arrays.points.length") == 3 * SIZE_PX[0] * SIZE_PX[1]
+            assert inner.evaluate("viewer.frame.number") == (1 if count == 1 else 0)
+            drawn = np.asarray(Image.open(io.BytesIO(inner.locator("#surface canvas").screenshot())).convert("RGB"))
+            assert (np.abs(drawn.astype(int) - drawn[5, 5]).sum(axis=-1) > 30).mean() > 0.2
