@@ -1,4 +1,4 @@
-"""The tables of a frame's fields in README and docs, made from the table in the code.
+"""The tables of a frame's fields in the docs, made from the table in the code.
 
 python tests/support/field_tables.py
 """
@@ -10,7 +10,7 @@ from pipeline.decoding.frame import FIELDS
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def readme_table() -> str:
+def fields_table() -> str:
     """Return what each field is."""
     units = {None: "", "1": "", "range": "mm or rad"}
     rows = [
@@ -31,7 +31,7 @@ def store_table() -> str:
 
 
 #: Where each table stands.
-TABLES = {ROOT / "README.md": readme_table, ROOT / "docs" / "video.md": store_table}
+TABLES = {ROOT / "docs" / "python.md": fields_table, ROOT / "docs" / "video.md": store_table}
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""One table of fields: what stands in README and docs is what the code says."""
+"""One table of fields: the tables of the docs are those of the code."""
 
 import numpy as np
 import pytest
