@@ -26,6 +26,7 @@ from pipeline.orders.posterior import (
 )
 from pipeline.orders.region_cutting import cut_regions
 from pipeline.orders.stripe_columns import StripeColumns
+from tikernels.order_evidence.offset_labelling import connected_parts
 from tikernels.unwrapping.patches import MIN_REGION_PX, PatchGraph
 
 # How probably a piece that the labels have cut off, which hangs together with its region, has that one's orders before
@@ -103,7 +104,7 @@ def find_absolute_orders(
         lacks[part], errors[part] = posterior.best, posterior.error(posterior.best)
     settled = settle_borders(reader, graph, roots, lacks[roots], errors[roots])
     graph = graph._replace(offset=(graph.offset + settled.shifts).astype(np.int32))
-    before, roots = roots, settled.roots
+    before, roots = roots, _cut_off(roots, settled.roots, graph)
     if _much_moved(before, roots, graph):
         standing = _standing(roots, graph)
         roots, main = standing[roots], np.where(main >= 0, standing[main], -1)
@@ -168,6 +169,28 @@ def _much_moved(before: npt.NDArray[np.int32], roots: npt.NDArray[np.int32], gra
     ends, px = np.append(before[moved], roots[moved]), np.tile(graph.pixels[moved], 2)
     much = np.bincount(ends, px, len(roots)) > _MOST_MOVED * np.bincount(before, graph.pixels, len(roots))
     return bool(much.any() or (roots[roots] != roots).any())
+
+
+def _cut_off(before: npt.NDArray[np.int32], roots: npt.NDArray[np.int32], graph: PatchGraph) -> npt.NDArray[np.int32]:
+    """Make parts of their own of pieces that were connected to their part only by patches that have moved, (P,) roots.
+
+    Their orders followed from those of the moved patches.
+    """
+    stayed = before == roots
+    if stayed.all():
+        return roots
+    number, (one, other) = np.arange(len(roots)), graph.ends
+    inside = before[one] == before[other]
+    whole = connected_parts(graph.ends[:, inside], len(roots))
+    pieces = connected_parts(graph.ends[:, inside & stayed[one] & stayed[other]], len(roots))
+    pixels = np.bincount(pieces, graph.pixels, len(roots))
+    largest, by_size = number.copy(), np.argsort(pixels[pieces], kind="stable")
+    largest[whole[by_size]] = pieces[by_size]
+    last = number.copy()
+    last[pieces] = number
+    # A piece needs another name than its part's, of which it may hold the root.
+    names = np.where(pieces == roots, last[pieces], pieces)
+    return np.where(stayed & (pieces != largest[whole]), names, roots).astype(np.int32)
 
 
 def _standing(roots: npt.NDArray[np.int32], graph: PatchGraph) -> npt.NDArray[np.int32]:

@@ -143,7 +143,7 @@ class Patches:
         roots : (P,) int32
             The patch that stands for each patch's region.
         left_out : (P,) bool, optional
-            Patches that count no pixels from now on: regions of such are not written.
+            Patches that count no pixels from now on, and are not written.
 
         Raises
         ------

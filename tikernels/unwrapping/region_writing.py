@@ -80,9 +80,10 @@ def finish_patches_kernel(
         for k in range(cells[Cell.PATCHES, cell + 1] - cells[Cell.PATCHES, cell]):
             draft, patch = (cell << draft_bits) + k, cells[Cell.PATCHES, cell] + k
             root = patches[Patch.ROOT, patch]
-            out_final[Final.REGION, draft] = numbers[root]
+            number = ti.select(patches[Patch.PIXELS, patch] > 0, numbers[root], 0)
+            out_final[Final.REGION, draft] = number
             out_final[Final.ORDER, draft] = patches[Patch.OFFSET, patch] - regions[Region.ORDER, root] - ORDER_ZERO
-            if numbers[root] == 0:
+            if number == 0:
                 cells[Cell.STEPS, cell] = 1
         mark_overruled(cell, cells, draft_bits, patches, draft_contacts)
     ti.loop_config(serialize=serial)

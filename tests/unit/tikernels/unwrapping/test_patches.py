@@ -140,3 +140,15 @@ def test_what_is_left_out_is_not_written(arch):
     assert np.count_nonzero(before == 1) > 5000
     assert not mask[before == 1].any()
     assert region.max() == before.max() - 1
+
+
+def test_a_patch_that_is_left_out_of_a_region_is_not_written(arch):
+    phase = reference.wrapped(reference.ramp(80, 96)).astype(np.float32)
+    patches, rates = join(phase)
+    assert written(patches, phase, rates)[1].all()
+    first = patches.graph().first
+    patches.split(patches.roots(), first == 32 * 96 + 48)
+    outside = written(patches, phase, rates)[1] == 0
+    assert outside[32:48, 48:56].all()
+    outside[31:49, 47:57] = False  # nor are the pixels around it
+    assert not outside.any()
