@@ -2,7 +2,7 @@
 
     python tests/benchmarks/constants.py            the counts of `tikernels/phase` and `pipeline/decoding`
     python tests/benchmarks/constants.py --list     and every number that is counted, with its place
-    python tests/benchmarks/constants.py --ablate   halve and double each; writes the last part of docs/ablation.md
+    python tests/benchmarks/constants.py --ablate   halve and double each; writes a part of docs/studies.md
 
 Counted are numbers in the source but 0, 1, 2, 1/2, pi and their negatives: those of module constants and of class
 attributes, defaults of arguments and fields, and literals in code. Subscripts, shapes of types and arrays, axes, and
@@ -24,6 +24,7 @@ from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from datetime import date
 from pathlib import Path
 from queue import SimpleQueue
 from textwrap import shorten
@@ -55,18 +56,18 @@ _LEFT_OUT = {
     "which side faces the camera": "front_side",
     "the frame's constant": "_LEAST_CONSTANT USUAL_TURN MAX_CONSTANT",
 }
-_HEADING = "## Each number"
-_PAGE = """
-`python tests/benchmarks/constants.py --ablate` writes this part. It decodes frames of the scorecard, one noise seed
-each, with one number halved, and doubled; of a share near one, what is missing to it. A cell lists the frame that
-changes most, if RMS changes by {rms:.1%}, error over sigma by {sigma:.0%}, coverage or absolute and right orders by
-{coverage:.1%} of the lit pixels, or wrong orders by {orders:.0f} per 100,000. From seed to seed the RMS of r-face
-differs by 5% (one standard deviation), that of r-objects-coded by 4%, that of touching-coded by 18%: what is less is
-chance there.
-None of these frames has light that scatters, nor colours in turn before a camera that runs freely: of the
-numbers that concern these, `films.py` judges what they do together.
+_PART = """\
+## Numbers of the decoder
 
-Left out are {left_out}.
+`python tests/benchmarks/constants.py --ablate`, {date}, one noise seed.
+
+One number at a time is halved or doubled (of a share near one, what is missing to one). A cell lists the frame that
+changes most: RMS by {rms:.1%} or more, error over sigma by {sigma:.0%}, coverage or absolute and right orders by
+{coverage:.1%} of the lit pixels, wrong orders by {orders:.0f} per 100,000. From seed to seed the RMS of r-face has a
+standard deviation of 5 %, that of r-objects-coded 4 %, that of touching-coded 18 %: smaller changes there are chance.
+No frame has scattered light, or colours one after another before a free-running camera.
+
+Omitted: {left_out}.
 
 | number | is | meaning | halved | doubled |
 |---|---|---|---|---|
@@ -162,8 +163,8 @@ def module_constants(path: Path) -> Iterator[Constant]:
                 yield Constant(path, ast.unparse(name) + (f"[{place}]" if len(found) > 1 else ""), node, meaning)
 
 
-def ablate(page: Path) -> None:
-    """Decode with every number halved and doubled, keep each result as it comes, and write the page's last part."""
+def ablate() -> None:
+    """Decode with every number halved and doubled, keep each result as it comes, and write the table."""
     importlib.import_module("_tests_path")
     from scorecard_frames import frames
 
@@ -203,20 +204,23 @@ def ablate(page: Path) -> None:
                 shutil.copytree(ROOT / package, Path(parent) / str(number) / package)
             copies.put(Path(parent) / str(number))
         list(pool.map(lambda task: changed(*task), [(one, factor) for one in constants for factor in (0.5, 2.0)]))
-    rest = page.read_text(encoding="utf-8").partition(_HEADING)[0]
-    page.write_text(rest + table(constants, results), encoding="utf-8")
+    from page_parts import write_part
+
+    write_part("numbers", table(constants, results))
 
 
 def table(constants: list[Constant], results: dict[str, str]) -> str:
-    """Return the page's last part."""
+    """Return the table of all numbers, with its heading."""
     left_out = "; ".join(f"{reason}: {names}" for reason, names in _LEFT_OUT.items())
-    head = _PAGE.format(left_out=left_out, rms=_RMS, sigma=_SIGMA, coverage=_COVERAGE, orders=_ORDERS)
+    head = _PART.format(
+        date=date.today(), left_out=left_out, rms=_RMS, sigma=_SIGMA, coverage=_COVERAGE, orders=_ORDERS
+    )
     rows, before = [], ""
     for one in constants:
         cells = " | ".join(results[f"{one.key} {factor}"] for factor in (0.5, 2.0))
         meaning, before = "" if one.meaning == before else one.meaning, one.meaning
         rows.append(f"| `{one.key}` | {one.value:g} | {shorten(meaning, 100, placeholder=' ...')} | {cells} |\n")
-    return _HEADING + "\n" + head + "".join(rows)
+    return head + "".join(rows)
 
 
 def change(base: Run, run: Run) -> str:
@@ -244,7 +248,7 @@ def main() -> None:
     parser.add_argument("--ablate", action="store_true", help="halve and double every module constant; takes an hour")
     options = parser.parse_args()
     if options.ablate:
-        ablate(ROOT / "docs" / "ablation.md")
+        ablate()
         return
     total: Counter[str] = Counter()
     print("| room | module constants | defaults | literals | all |\n|---|---|---|---|---|")

@@ -4,7 +4,7 @@ python tests/benchmarks/paper_chain_accuracy.py [--arch cpu] [--rounds 30]
 
 The frames are those of accuracy.py. A step's phase error is the RMS of what it leaves, one constant removed, over the
 lit pixels that it gives a phase; the ratio is to the information limit of the same pixels; and its time is the least of
-many calls that take turns. docs/accuracy.md has the tables.
+many alternating calls. docs/accuracy.md and docs/studies.md have the tables.
 """
 
 import argparse

@@ -4,7 +4,7 @@
     python tests/benchmarks/scorecard.py bust-skin-2-coded      only these frames
     python tests/benchmarks/scorecard.py --against main         compare with another commit, pixel by pixel
     python tests/benchmarks/scorecard.py --without sharpness    with one mechanism of the decoder switched off
-    python tests/benchmarks/scorecard.py --ablate               each mechanism in turn; writes docs/ablation.md
+    python tests/benchmarks/scorecard.py --ablate               each mechanism in turn; writes a part of docs/studies.md
     python tests/benchmarks/scorecard.py --rigs 0-19            another table: scenes before rigs drawn at random
 
 A pixel is judged that is lit, brighter than 20 of 255, and 4 px inside the lit area. RMS and constant are those of its
@@ -37,6 +37,7 @@ import warnings
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from datetime import date
 from pathlib import Path
 from queue import SimpleQueue
 from threading import Lock
@@ -62,19 +63,23 @@ _SIGMA = 1.1
 # Fewer wrong orders per 100,000 than this are chance.
 _FEW_ORDERS = 20.0
 
-_PAGE = """\
-# What each mechanism of the decoder buys
+_PART = """\
+## Mechanisms of the decoder
 
-`python tests/benchmarks/scorecard.py --ablate` writes this page. It decodes the frames of the scorecard with one
-mechanism of the decoder switched off at a time. A cell lists the largest loss of RMS, of coverage or of absolute and
-right orders (both in per cent of the lit pixels), and of orders (wrong ones per 100,000 that are added, inside surfaces
-or without a flag) among the frames of a kind, each with its frame. What improves without a mechanism has a minus.
-Lines are those of the code that only this mechanism needs; what it costs in time `--without` says. All frames but
-captures have {seeds} noise seeds.
+`python tests/benchmarks/scorecard.py --ablate --seeds {seeds}`, {date}, {seeds} noise seeds but for captures.
 
-A mechanism stays if a frame loses {rms:.0%} of its RMS, {coverage:.1%} of its coverage, or a tenth of its orders (and
-{orders:.0f} per 100,000) without it, by more than two standard deviations of the mean over seeds; and if error over
-sigma moves away from one by a factor of {sigma} or more.
+A cell lists the largest loss without a mechanism, and the largest gain (minus), among the frames of a kind:
+
+| in a cell | loss of |
+|---|---|
+| RMS | phase error, of itself |
+| coverage, right | covered, and absolute and right pixels, of the lit pixels |
+| orders | wrong orders inside surfaces or without a flag, added per 100,000 pixels |
+| sigma | distance of error over sigma from one, as a factor |
+
+Lines are those of the code that only this mechanism needs. A mechanism stays if a frame loses {rms:.0%} of its RMS,
+{coverage:.1%} of its coverage, or a tenth of its orders (and {orders:.0f} per 100,000) by more than two standard
+deviations of the mean over seeds, or if sigma gets worse by a factor of {sigma}.
 """
 
 Figures = dict[str, float]
@@ -403,8 +408,8 @@ def changes(folder: Path, now: Run, then: Run, fields: tuple[str, str]) -> str:
 # --- ablation ------------------------------------------------------------------------------------------------------
 
 
-def ablate(folder: Path, names: list[str], seeds: int, page: Path) -> None:
-    """Switch every mechanism off in turn, keep each result as it comes, and write the page."""
+def ablate(folder: Path, names: list[str], seeds: int) -> None:
+    """Switch every mechanism off in turn, keep each result as it comes, and write the table."""
     from scorecard_mechanisms import MECHANISMS
 
     kept = folder / f"ablation-{product_digest()}-{seeds}.json"
@@ -435,19 +440,20 @@ def ablate(folder: Path, names: list[str], seeds: int, page: Path) -> None:
     runs = {
         name: Run({frame: done[frame] for frame in names}) for name, done in results.items() if set(names) <= set(done)
     }
-    page.write_text(ablation_page(runs, seeds), encoding="utf-8")
-    print(f"wrote {page}")
+    from page_parts import write_part
+
+    write_part("mechanisms", ablation_part(runs, seeds))
 
 
-def ablation_page(runs: dict[str, Run], seeds: int) -> str:
-    """Return what each mechanism buys, as a page."""
+def ablation_part(runs: dict[str, Run], seeds: int) -> str:
+    """Return the table of what each mechanism is worth, with its heading."""
     from scorecard_mechanisms import MECHANISMS
 
     base = runs[""]
     kinds = {"simulated": lambda n: n.split("-")[0] in ("plane", "waves", "bust", "objects", "ball"),
              "rendered": lambda n: n.startswith("r-"), "piles": lambda n: n.startswith(("pile", "touching")),
              "films": lambda n: n.startswith("film"), "captures": lambda n: n.startswith("capture")}  # fmt: skip
-    head = _PAGE.format(seeds=seeds, rms=_RMS, coverage=_COVERAGE, orders=_FEW_ORDERS, sigma=_SIGMA)
+    head = _PART.format(date=date.today(), seeds=seeds, rms=_RMS, coverage=_COVERAGE, orders=_FEW_ORDERS, sigma=_SIGMA)
     columns = f"| mechanism | {' | '.join(kinds)} | lines | verdict |"
     lines = [head, columns, "|---" * (len(kinds) + 3) + "|"]
     for name, mechanism in MECHANISMS.items():
@@ -569,7 +575,6 @@ def main() -> None:
     )
     parser.add_argument("--rigs", metavar="N-M", help="measure drawn rigs of these numbers; takes minutes for each")
     parser.add_argument("--seeds", type=int, default=8, help="noise seeds per frame")
-    parser.add_argument("--page", type=Path, default=ROOT / "docs" / "ablation.md")
     parser.add_argument("--folder", type=Path, help="where frames and results are kept")
     parser.add_argument("--child", choices=("make", "decode"), help=argparse.SUPPRESS)
     options = parser.parse_args()
@@ -589,7 +594,7 @@ def main() -> None:
         parser.exit(2, f"no frame {', '.join(sorted(unknown))}: choose of {', '.join(frames())}\n")
     names, folder = options.frame or list(frames()), frames_folder(options.folder)
     if options.ablate:
-        ablate(folder, names, options.seeds, options.page)
+        ablate(folder, names, options.seeds)
         return
     now = measured(folder, names, options.seeds, fields="now")
     print(now.table())

@@ -1,4 +1,4 @@
-"""Measure decoding on rendered frames, and write the second half of docs/accuracy.md.
+"""Measure decoding on rendered frames, and write their tables to docs/studies.md.
 
     python tests/benchmarks/rendered/measure.py [--cache FOLDER] [--print] [SECTION ...]
 
@@ -8,6 +8,7 @@ takes the time of decoding. Rendering needs the extra `rendered`, and libLLVM be
 
 import argparse
 from collections.abc import Callable, Iterable, Iterator
+from datetime import date
 from itertools import combinations
 from pathlib import Path
 
@@ -15,6 +16,7 @@ import numpy as np
 from camera_film import Optics, Sensor
 from decoding_cases import KNOWN, Case, Judged, study, study_orders, with_gamma
 from judgement import Verdict
+from page_parts import write_part
 from rendered_scenes import scenes
 from spectra import INDUSTRIAL, LAMP, LED, PHOTOGRAPHIC, effective_matrix
 from studio import Rig, Studio
@@ -22,8 +24,6 @@ from studio import Rig, Studio
 from tikernels import runtime
 from tikernels.phase.crosstalk import invert_crosstalk
 
-_PAGE = Path(__file__).resolve().parents[3] / "docs" / "accuracy.md"
-_BEGIN, _END = "<!-- rendered frames: begin -->", "<!-- rendered frames: end -->"
 # The truth may be off by this, rad, before anything is measured against it.
 _TRUE_RAD = 0.0005
 _HEADINGS = (
@@ -59,13 +59,13 @@ def main() -> None:
     if off > _TRUE_RAD:
         raise SystemExit(f"the truth is off by {off:.5f} rad: the renderer is wrong, nothing is measured")
     render(studio)
-    parts = [_INTRODUCTION.format(off=off)]
+    parts = [_INTRODUCTION.format(date=date.today())]
     for name in arguments.section or SECTIONS:
         part = "\n".join(SECTIONS[name](studio)) + "\n"
         print(part, flush=True)
         parts.append(part)
     if not (arguments.print or arguments.section):
-        write_page(_PAGE, "\n".join(parts))
+        write_part("rendered frames", "\n".join(parts))
 
 
 def render(studio: Studio) -> None:
@@ -82,13 +82,6 @@ def render(studio: Studio) -> None:
         for taken_with in {rig for _, rig, _ in _RIGS} if name in _WITH_EVERY_RIG else ():
             studio.exposure(name, taken_with)
             studio.light(name, "plain", taken_with)
-
-
-def write_page(page: Path, text: str) -> None:
-    """Put text between the page's two markers."""
-    before, rest = page.read_text(encoding="utf-8").split(_BEGIN)
-    _, after = rest.split(_END)
-    page.write_text(f"{before}{_BEGIN}\n\n{text}\n{_END}{after}", encoding="utf-8")
 
 
 def truth_error(studio: Studio) -> float:
@@ -155,7 +148,7 @@ def knowledge(scene: str, **more) -> list[Case]:
 
 def gray_and_painted(studio: Studio) -> Iterator[str]:
     """Yield plane and faces."""
-    yield "### A plane, and a face in grey paint and in colour\n"
+    yield "### A plane and faces\n"
     yield from table(_HEADINGS)
     for scene in ("plane", "grey_face", "face", "face_alone"):
         yield from rows(knowledge(scene), studio, lambda case, verdict: True)
@@ -163,7 +156,7 @@ def gray_and_painted(studio: Studio) -> Iterator[str]:
 
 def colors(studio: Studio) -> Iterator[str]:
     """Yield coloured objects and the board."""
-    yield "### Several colours\n"
+    yield "### Coloured objects, and a flat board of six colours\n"
     yield from table(_HEADINGS)
     for scene in ("objects", "grey_objects", "board"):
 
@@ -176,7 +169,8 @@ def colors(studio: Studio) -> Iterator[str]:
 
 def narrow_bands(studio: Studio) -> Iterator[str]:
     """Yield what it costs to fix where the surfaces' colours act."""
-    yield "### Where the colour is taken to act in one place\n"
+    yield "### Surface colour before or after the crosstalk\n"
+    yield "The setting `reflectance_bands` fixes where a surface's colour acts; all other tables have it found.\n"
     yield from table(_HEADINGS)
     for scene in ("plane", "face", "objects", "board"):
         cases = [Case(scene, known=KNOWN[-1], bands=bands) for bands in ("broad", "narrow")]
@@ -231,7 +225,7 @@ def other_rigs(studio: Studio) -> Iterator[str]:
 def worth_of_calibration(studio: Studio) -> Iterator[str]:
     """Yield whether a calibration makes it better."""
     yield "### A calibration against none\n"
-    yield "RMS of the whole frame with its constant, 4 px inside, noise and 8 bits; the same noise in all columns.\n"
+    yield "RMS inside, rad, with constant and noise. Ratio: matrix and response over nothing known.\n"
     yield from table(("scene", "pattern", "mosaic", "nothing known", "matrix", "matrix and response", "ratio"))
     names = [name for name, scene in scenes().items() if not name.startswith("in_turns")]
     for name in names:
@@ -247,7 +241,7 @@ def worth_of_calibration(studio: Studio) -> Iterator[str]:
 def orders(studio: Studio) -> Iterator[str]:
     """Yield what the contrast code tells."""
     yield "### Absolute orders under the contrast code\n"
-    yield "Shares of the judged pixels; noise and 8 bits.\n"
+    yield "Shares of the pixels that RMS counts, with noise.\n"
     yield from table(("scene", "known", "mosaic", "decoded", "absolute and right", "absolute and wrong"))
     for name in _CODED:
         for known in (KNOWN[0], KNOWN[-1]):
@@ -270,27 +264,31 @@ SECTIONS: dict[str, Callable[[Studio], Iterator[str]]] = {
 }
 
 _INTRODUCTION = """\
-## On rendered frames
+## Rendered frames
 
-`python tests/benchmarks/rendered/measure.py` renders scenes from spectra at 1 nm and measures what decoding makes of
-them; it writes all that follows, and needs the extra `rendered`. A 640x480 camera of 1.9 widths focal length looks at
-44 cycles of a 1024x768 projector, some 900 mm away and 180 mm beside it: 12 px a cycle. The projector has
-light-emitting diodes and a response of gamma 2, the camera an industrial sensor's filters, unless said; the
-projector's lens blurs by 0.6 of its px, the camera's by 0.5, and pixels are the mean of their area. Ambient light is
-3 % of the projector's white. The sensor has 8 bits, shot noise of a full well of 10,000 electrons, read noise of 5
-and a pedestal of 2 %; noise-free frames have 16 bits and show what decoding itself does wrong.
+`python tests/benchmarks/rendered/measure.py`, {date}. It needs the extra `rendered`.
 
-The decoder has its default settings and the true geometry. Of the light it knows what the row says: *nothing*; the
-*matrix* of the crosstalk; *matrix and response*. Both are what `colorphase calibrate radiometry` finds on rendered
-ramps. Of a compensated pattern it is known that it is one; it was made with that same response. "Mosaic" says whether
-the frame went through a Bayer mosaic.
+Scenes are rendered from spectra in steps of 1 nm, unless a row names another rig:
 
-RMS is that of the phase error in rad, one constant removed, over the pixels brighter than 20 of 255 and 4 px inside the
-lit area; "inside" leaves out 4 px at surface borders, too. The constant, the harmonics of the error over the phase,
-and "error over sigma", the RMS of the error over its own standard deviation, are those inside. A radian is some 7 mm
-there. Surfaces of fewer than 2,000 such pixels are left out.
+| | |
+|---|---|
+| camera | 640x480, focal length 1.9 image widths, blur 0.5 px, filters of an industrial sensor |
+| projector | 1024x768, 44 cycles in view, LEDs, gamma 2, blur 0.6 px, 180 mm beside the camera |
+| object | 900 mm away; 12 px per cycle; about 7 mm of depth per rad; ambient light 3 % of the projector's white |
+| noise | 8 bits, full well 10,000 electrons, read noise 5 electrons, pedestal 2 %; noise-free frames have 16 bits |
+| settings | default, true geometry; *known* is what `colorphase calibrate radiometry` finds on rendered ramps |
+| pattern | *compensated*: the projector's response is undone in the pattern, and the decoder knows that |
+| pixels | mean over their area; *mosaic*: whether the frame passed through a Bayer mosaic |
 
-The truth was checked first: ideal fringes on the white plane come back within {off:.5f} rad.
+| column | meaning |
+|---|---|
+| RMS | phase error, rad, one constant removed, over pixels brighter than 20 of 255 and 4 px inside the lit area |
+| RMS inside | the same, also 4 px from borders of surfaces; all columns to its right are over these pixels |
+| constant | the mean error, rad |
+| harmonics | amplitudes, rad, of the error's components that repeat once, twice and three times per cycle |
+| error over sigma | RMS of the error over its own standard deviation; *within two*: share of errors below two of them |
+
+Surfaces of fewer than 2,000 pixels are omitted.
 """
 
 if __name__ == "__main__":
