@@ -37,7 +37,7 @@ class Alternation:
 
     @property
     def known(self) -> bool:
-        """Whether the picture that the projector shows now is known."""
+        """True if the picture that the projector shows now is known."""
         return self._last is not None
 
     def forget(self) -> None:

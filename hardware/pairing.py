@@ -108,12 +108,12 @@ class Evidence:
 
     @property
     def exposures_counted(self) -> bool:
-        """Whether one exposure to every pulse was reported."""
+        """True if one exposure to every pulse was reported."""
         pulses = list(range(self.first_pulse, self.first_pulse + self.count))
         return self.strobes is not None and [strobe.pulse for strobe in self.strobes] == pulses
 
     def is_next(self, frame: CameraFrame, before: CameraFrame) -> bool:
-        """Whether nothing speaks against a frame being the next pulse's after another's."""
+        """Return whether nothing speaks against a frame being the next pulse's after another's."""
         if frame.device_time_s is not None and before.device_time_s is not None:
             step = (frame.device_time_s - before.device_time_s) / self.train.period_s
             return abs(step - 1) <= self.tolerance
@@ -123,7 +123,7 @@ class Evidence:
 
     @property
     def numbered(self) -> bool:
-        """Whether the camera's numbers and its counted exposures show that none is missing between two frames."""
+        """True if the camera's numbers and its counted exposures show that none is missing between two frames."""
         frames = self.frames if self.previous is None else (self.previous, *self.frames)
         return self.exposures_counted and all(frame.frame_id is not None for frame in frames)
 
@@ -297,7 +297,7 @@ def _frame_faults(seen: Evidence) -> list[Fault]:
 
 
 def is_same_image(one: Levels | None, other: Levels | None) -> bool:
-    """Whether two frames are the same to the last bit, which noise keeps exposures from being."""
+    """Return whether two frames are the same to the last bit, which noise keeps exposures from being."""
     if one is None or other is None or one.shape != other.shape:
         return False
     return np.array_equal(one[::32], other[::32]) and np.array_equal(one, other)  # some rows tell almost always

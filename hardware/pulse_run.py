@@ -38,7 +38,7 @@ class Run:
 
 
 def repeats(frame: CameraFrame, before: CameraFrame | None) -> bool:
-    """Whether a frame was delivered twice: its number, its time and its image are those of the one before."""
+    """Return whether a frame was delivered twice: its number, its time and its image are those of the one before."""
     if before is None or frame.frame_id is None:
         return False
     if (frame.frame_id, frame.device_time_s) != (before.frame_id, before.device_time_s):
@@ -47,7 +47,7 @@ def repeats(frame: CameraFrame, before: CameraFrame | None) -> bool:
 
 
 def is_left_over(frame: CameraFrame, last: CameraFrame | None) -> bool:
-    """Whether a frame is one of the run before; numbers may begin anew with every run, times do not come again."""
+    """Return whether a frame is from the run before; numbers may begin anew with every run, times do not recur."""
     if last is None or (frame.frame_id, frame.device_time_s) != (last.frame_id, last.device_time_s):
         return False
     return is_same_image(frame.image, last.image)

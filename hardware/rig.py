@@ -491,7 +491,7 @@ class Rig:
         return seen, found, n_repeated
 
     def _one_exposure_each(self, run: Run, seen: Evidence) -> bool:
-        """Whether the pulses whose frames were waited for made an exposure each, and no other was made."""
+        """Return whether the pulses whose frames were waited for made an exposure each, and no other was made."""
         self._ask_for_exposures(run)
         first = seen.first_pulse + seen.count
         last = first + len(seen.ahead)
@@ -508,7 +508,7 @@ class Rig:
         return n_repeated
 
     def _is_new(self, frame: CameraFrame, before: CameraFrame | None) -> bool:
-        """Whether a frame was not delivered before: in this run, or in the one before this."""
+        """Return whether a frame was not delivered before: in this run, or in the one before this."""
         last, self._last = self._last, frame
         return not repeats(frame, before) and not (before is None and is_left_over(frame, last))
 
@@ -548,7 +548,7 @@ class Rig:
             time.sleep(_SHORT_POLL_S)
 
     def _may_be_reported(self, status: TriggerStatus) -> bool:
-        """Whether the last pulse's exposure or picture is missing, as both are for some time in every period."""
+        """Return whether the last pulse's exposure or picture is missing, as both are for some time in every period."""
         wired = self.settings.trigger
         counts = [status.strobes] * wired.strobe + [status.vsyncs] * (wired.vsync == "per-pulse")
         off = [abs(status.pulses - count) for count in counts if count is not None and status.pulses is not None]

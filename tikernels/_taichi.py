@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 # Importing must print nothing; both languages greet on import otherwise.
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "False")
 os.environ.setdefault("ENABLE_QUADRANTS_HEADER_PRINT", "False")
-# Once a day Taichi would send its makers' server a number that tells this machine, to hear of new versions.
+# Once a day Taichi would send its makers' server a number that identifies this machine, to check for new versions.
 os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
 
 
 def _is_usable(folder: str) -> bool:
-    """Whether a folder is there, which may be read-only, or can be made."""
+    """Return whether a folder exists, even read-only, or can be made."""
     with contextlib.suppress(OSError):
         os.makedirs(folder, exist_ok=True)
         return os.access(folder, os.R_OK | os.X_OK)

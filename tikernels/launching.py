@@ -140,7 +140,7 @@ def _kernel(function: Function, compiling: "_Compiling") -> Function:
 
 @dataclass(frozen=True)
 class _Compiling:
-    """How a kernel is compiled; see `kernel`."""
+    """Compilation options of a kernel; see `kernel`."""
 
     whole_vectors: bool
     flow_analysis: bool
@@ -177,7 +177,7 @@ def constant(array: npt.NDArray[Number]) -> npt.NDArray[Number]:
 
 
 def is_constant(array: object) -> bool:
-    """Whether an array was declared to be constant."""
+    """Return whether an array was declared to be constant."""
     known = _constants.get(id(array))
     return known is not None and known[0]() is array
 

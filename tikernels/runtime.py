@@ -206,7 +206,7 @@ def require(arch: str) -> None:
 
 
 def is_started() -> bool:
-    """Whether `init` has started a device."""
+    """Return whether `init` has started a device."""
     return _started is not None
 
 
@@ -313,12 +313,12 @@ def to_host(buffer: Array[E]) -> npt.NDArray[E]:
 
 
 def is_device_array(array: object) -> TypeGuard[DeviceArray[np.generic]]:
-    """Whether this is an ndarray of the kernel language."""
+    """Return whether this is an ndarray of the kernel language."""
     return isinstance(array, ti.Ndarray)
 
 
 def has_dtype(buffer: DeviceArray[E], dtypes: Sequence[type[np.generic]]) -> bool:
-    """Whether a device ndarray's element type is one of NumPy's."""
+    """Return whether a device ndarray's element type is one of NumPy's."""
     return any(DEVICE_TYPES.get(dtype.__name__) == buffer.element_type for dtype in dtypes)
 
 

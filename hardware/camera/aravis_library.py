@@ -103,7 +103,7 @@ class Aravis:
             raise AttributeError(name) from None
 
     def is_a(self, instance: int, kind: str) -> bool:
-        """Whether an object is of a class or has an interface, as "gc_float"."""
+        """Return whether an object is of a class or has an interface, as "gc_float"."""
         return bool(self.g_type_check_instance_is_a(instance, getattr(self, f"arv_{kind}_get_type")()))
 
     def _typed(self, name: str, result: Any, arguments: tuple[Any, ...]) -> Callable[..., Any]:

@@ -35,7 +35,7 @@ class Features(Protocol):
     """A camera's features by their names. Whatever the camera refuses raises CameraError."""
 
     def has(self, name: str) -> bool:
-        """Whether it is there at present."""
+        """Return whether it is there at present."""
 
     def get(self, name: str) -> Value:
         """Return its value; an enumeration's is the entry's name."""

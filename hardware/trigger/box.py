@@ -79,7 +79,7 @@ class _Refused(TriggerError):
 
 
 def _is_number(word: str) -> bool:
-    """Whether a word is a number of 32 bits, which are all that the box counts in."""
+    """Return whether a word is a number of 32 bits, which are all that the box counts in."""
     return word.isdecimal() and len(word) <= 10 and int(word) < 2**32
 
 

@@ -257,7 +257,7 @@ class LiveDecoder:
 
     @property
     def ready(self) -> bool:
-        """Whether kernels are compiled and no frame is being decoded: the next one offered is taken."""
+        """True if kernels are compiled and no frame is being decoded: the next one offered is taken."""
         with self._lock:
             self._listen()
             return self._idle

@@ -38,12 +38,12 @@ class FrameTimes:
 
     @property
     def known(self) -> bool:
-        """Whether there are any, and each is later than the one before."""
+        """True if there are any, and each is later than the one before."""
         return len(self.seconds) > 0 and self.ascend and self.seconds[-1] < _LATEST
 
     @property
     def ascend(self) -> bool:
-        """Whether all are numbers, and each is later than the one before."""
+        """True if all are numbers, and each is later than the one before."""
         return bool(np.isfinite(self.seconds).all() and (np.diff(self.seconds) > 0).all())
 
     def of(self, number: int) -> float:

@@ -358,7 +358,7 @@ class VideoIndex:
 
     @property
     def intra_only(self) -> bool:
-        """Whether every frame can be decoded by itself: without stamps only those before it tell which one it is."""
+        """True if every frame can be decoded by itself: without stamps only those before it tell which one it is."""
         return bool(self.stamps) and len(self.keys) == len(self.numbers)
 
     def position_before(self, number: int) -> int:

@@ -1,4 +1,4 @@
-"""Tell a slope from a step between neighbouring pixels, by their standard deviations and the slopes beside them.
+"""Distinguish slopes from steps between neighbouring pixels, by their standard deviations and the slopes around.
 
 Two neighbours, one pixel or one diagonal (l = 1 or sqrt 2) apart, are on one surface where the depth changes between
 them by no more than the surface goes on changing beside them, a pixel's own width w and three standard deviations:
@@ -52,8 +52,8 @@ _REACH = 3
 _LEAST_COUNT = 4
 # Neighbours' errors are alike after smoothing: thirteen pixels count as one measurement of a mean (docs/method.md, 7).
 _ALIKE = 13.0
-# The root of the determinant of the pixels' scatter about their middle, px^2, that tells a plane from a line: two
-# columns of three pixels have 0.4.
+# The root of the determinant of the pixels' scatter about their middle, px^2, that distinguishes a plane from a line:
+# two columns of three pixels have 0.4.
 _LEAST_SPREAD = 0.15
 
 
@@ -133,7 +133,7 @@ def goes_on(
     down: i32,
     right: i32,
 ) -> u1:
-    """Whether the surface beside an edge, from a pixel in a direction, goes on as steeply as its ends are apart."""
+    """Return whether the surface next to an edge, from a pixel in a direction, is as steep as the edge itself."""
     j, i = y + down, x + right
     apart = ti.sqrt(ti.cast(down * down + right * right, ti.f32)) * ti.min(width[y, x], width[j, i])
     rise = depth[j, i] - depth[y, x]
@@ -265,7 +265,7 @@ def link_pixels(depth: F32, sigma: F32, width: F32, region: I32, out: U8 | None 
 def surely_less_steep(
     depth: F32Array2, sigma: F32Array2, width: F32Array2, max_slope: f32, y: i32, x: i32, j: i32, i: i32
 ) -> u1:
-    """Whether the depth changes by no more than `max_slope` widths between two pixels, by their standard deviations."""
+    """Return whether depth surely changes by at most `max_slope` widths between two pixels, given their sigmas."""
     noise = _SURE_OF_FITS * ti.sqrt(squared(sigma[y, x]) + squared(sigma[j, i]))
     return ti.abs(depth[j, i] - depth[y, x]) + noise <= max_slope * ti.min(width[y, x], width[j, i])
 

@@ -32,13 +32,13 @@ _ODD_PX, _NEAR_PX = 7, 5
 # Where a surface ends it often bends away, and a wide window has seen one side only: as near as this, px, a pixel takes
 # no wider window than its own choice, and not the widest.
 _END_PX, _WIDEST_AT_END = 3, WINDOWS - 1
-# Rows that are fitted at a time, so that all windows' fits of a large picture need not be kept; and those beside them
-# that tell which window counts.
+# Rows that are fitted at a time, so that all windows' fits of a large picture need not be kept; and those next to them
+# that determine which window counts.
 _ROWS, _BESIDE = 256, _ODD_PX // 2 + 2 * (_NEAR_PX // 2)
 
 
 class FittedSurface(NamedTuple):
-    """What the fit says of every pixel."""
+    """Results of the fit at every pixel."""
 
     depth: npt.NDArray[np.float32]
     """(H, W) float32: the quadric's value, in the depth's unit; where there is no pixel, as it was."""

@@ -28,7 +28,7 @@ strip_of_floats = ti.types.vector(STRIP, ti.f32)
 
 
 class ProjectorGeometry(NamedTuple):
-    """Where the projector stands and how its phase runs."""
+    """The projector's pose, and the course of its phase."""
 
     rotation: npt.NDArray[np.float64]  # 3x3, X_projector = rotation X_camera + translation
     translation_mm: npt.NDArray[np.float64]  # 3

@@ -55,7 +55,7 @@ _FAR, _LEAST = 1e6, 1e-5
 
 
 class Row(IntEnum):
-    """What is known of each block."""
+    """Measurements of each block."""
 
     LEVEL = 0  # its contrast, natural logarithm
     VARIANCE = 1  # of that, by noise
@@ -72,7 +72,7 @@ ROWS = 12
 
 
 class Fitted(NamedTuple):
-    """What was fitted to a part's blocks."""
+    """Parameters fitted to a part's blocks."""
 
     likelihood: npt.NDArray[np.float64]
     """(K,) natural logarithm."""
@@ -137,7 +137,7 @@ def factor_terms(values: Static, n: i32, gain_sigma: f32) -> vec4:
 
 @ti.func
 def has_order(values: Static, n: i32, offset: i32, cycles: i32, response: i32) -> u1:
-    """Whether the code has the order of a block at an offset."""
+    """Return whether the code has the order of a block at an offset."""
     order = values[Row.ORDER, n] + offset
     return (response < 0) | ((order > -0.5) & (order < cycles - 0.5))
 

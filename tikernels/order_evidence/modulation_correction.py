@@ -48,12 +48,12 @@ from tikernels.strips import STRIP, strip_at, strip_count
 TABLED = 20
 #: Terms of the columns along the stripe are known at nodes this many px apart, as a strip is long.
 NODE_PX = STRIP
-#: Of the frame's pixels every sixteenth column tells enough, and every fourth row, another one from column to column.
+#: Of the frame's pixels every sixteenth column is enough, and every fourth row, another one from column to column.
 EVERY_COLUMN, EVERY_ROW = 16, 4
 
 
 class CodeRipples(NamedTuple):
-    """What a code changes, by the absolute phase and the place along the stripe, and how much of it bends the phase."""
+    """Changes that a code makes, by absolute phase and place along the stripe, and the part that bends the phase."""
 
     table: npt.NDArray[np.float32]
     """(N, places, 3) TABLED a cycle, from the first cycle's middle on: the contrast's deviation from the usual one, as

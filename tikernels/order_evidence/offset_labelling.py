@@ -1,6 +1,6 @@
 """Label the patches of a region with the offsets that their code names, weighing all offsets and all patches at once.
 
-Each patch has evidence: by how much its blocks deviate from the code at every offset. A patch alone tells little. The
+Each patch has evidence: by how much its blocks deviate from the code at every offset. A patch alone shows little. The
 labels start from the windows and pieces that show another offset than the region's (`offset_windows.py`), and from
 evidence pooled along contacts, and settle between what a patch shows and what its neighbours are labelled with, a step
 at every contact that separates two labels costing more the better the contact is supported: a Potts model, by iterated
@@ -72,14 +72,14 @@ def weigh_offsets_kernel(
 
 
 class OffsetEvidence(NamedTuple):
-    """What the blocks of each patch say of each offset."""
+    """Evidence of each patch's blocks for each offset."""
 
     sums: npt.NDArray[np.float32]
     """(P, groups, 2, LANES) squared deviations from the code, in variances, and deviations, in standard deviations."""
     weight: npt.NDArray[np.float32]
     """(P,) as how many blocks they count."""
     offsets: int
-    """How many there are."""
+    """Number of offsets."""
 
     def only(self, offsets: npt.NDArray[np.integer]) -> "OffsetEvidence":
         """Return the evidence of some offsets (n,), counted from the first one."""

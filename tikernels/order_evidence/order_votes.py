@@ -45,7 +45,7 @@ _MAX_BEND = 2.5
 
 @ti.func
 def smooth_around(phase: F32Array2, y: i32, x: i32) -> i32:
-    """Whether a surface goes on around a pixel; not where the image ends."""
+    """Return whether a surface continues around a pixel; not where the image ends."""
     height, width, far = phase.shape[0], phase.shape[1], ti.static(_REACH[-1])
     smooth = 0
     if ti.min(y, x) >= far and y < height - far and x < width - far:

@@ -24,7 +24,7 @@ numbers = ti.types.vector(STRIP, ti.f32)
 
 
 class BalanceWindow:
-    """Where blocks and nodes lie in an image of one size, and how the window weighs them.
+    """Places of blocks and nodes in an image of one size, and the window's weights.
 
     Parameters
     ----------

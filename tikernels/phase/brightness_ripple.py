@@ -1,4 +1,4 @@
-"""What of the brightness follows the fringe, all over a frame: its phase, and its contrast.
+"""Brightness that follows the fringe, all over a frame: its phase, and its contrast.
 
 Brightness and one cycle of the channels (`channel_template.py`) are known but for a common function of the phase:
 C_i = s t_i = (s / g(phi)) (g(phi) t_i). Phases do not care; but what s has of g shows as stripes. The object knows
@@ -145,7 +145,7 @@ def contrast_slope(brightness: F32, contrast: F32, mask: Mask, period_px: float)
     Returns
     -------
     slope : float
-        0 where hardly anything tells.
+        0 with too little evidence.
     mean : float
         Of the contrast's logarithm.
 
@@ -184,7 +184,7 @@ def measure_ripple(brightness: F32, phase: F32, mask: Mask, period_px: float) ->
     Returns
     -------
     (6,) float32
-        u_1, v_1, u_2, v_2, u_3, v_3 of log g; zeros where hardly anything tells.
+        u_1, v_1, u_2, v_2, u_3, v_3 of log g; zeros with too little evidence.
 
     Raises
     ------

@@ -37,7 +37,7 @@ from tikernels.strips import SPREAD, color_of, lanes_of_colors, set_color, strip
 
 # Whoever balances an image alone has chosen its pixels by the mask.
 _ANYTHING_LIT = FrameLevels(white=1.0, read_noise=0.0, noise_gain=0.0, noise=0.0, intensity=TINY, modulation=TINY)
-# Columns of the sums that tell it, a row of the image each; in the last row the first has the contrast itself.
+# Columns of the sums that determine it, one row of the image each; in the last row the first has the contrast itself.
 _MODULATION, _BACKGROUND = range(2)
 _CONTRAST = 0
 # In even light two samples of a column, so many rows apart, have nearly the same phase (`LEAST_CHANGE`).
@@ -168,7 +168,7 @@ def balancing_gain(seen: vec3, predicted: vec3) -> vec3:
 
 @ti.func
 def shows_fringe(sums: F32Array3, rows: i32, y: i32, j: i32) -> ti.i32:
-    """Whether a pixel's block, whose column is j, has a fringe: it is neither dark nor lit evenly."""
+    """Return whether a pixel's block, whose column is j, has a fringe: it is neither dark nor lit evenly."""
     return sums[y // rows, j, WindowSum.SAMPLES] > 0.0
 
 

@@ -74,7 +74,7 @@ def invert_crosstalk(crosstalk_matrix: npt.ArrayLike, *, normalize_rows: bool = 
 
 @dataclass(frozen=True, eq=False)
 class Crosstalk:
-    """How the projector's primaries mix in the camera's channels, on a neutral surface and on coloured ones."""
+    """Mixing of the projector's primaries in the camera's channels, on a neutral surface and on coloured ones."""
 
     matrix: npt.NDArray[np.float32]
     """(3, 3): what a neutral surface sends back = matrix @ projector; each row sums to one."""
@@ -89,7 +89,7 @@ class Crosstalk:
     lag: npt.NDArray[np.float64] | None
     """(3,) rad, how far the fringe of R, G, B lags behind its place; None: nowhere."""
     surfaces: Surfaces
-    """What the surfaces' colours do to that."""
+    """Effect of the surfaces' colours on that."""
 
     @classmethod
     def of(

@@ -6,9 +6,9 @@ exposure, in frames (`color_fields.py`). A fit of one phase to that is off by
 
     -v / 3 sum_j tau_j cos(2 phi + 2 d_j),    d_j the channel's delay,
 
-twice a cycle. Where it is not known when an exposure starts, that term in the first fit's phase tells the times apart:
-each hypothesis of `ColorFields` predicts another one, and its likelihood is that of what it leaves. The times that are
-used are the mean over all hypotheses, and their spread is in doubt.
+twice a cycle. Where it is not known when an exposure starts, that term in the first fit's phase distinguishes the
+times: each hypothesis of `ColorFields` predicts another one, and its likelihood is that of what it leaves. The times
+that are used are the mean over all hypotheses, and their spread is in doubt.
 
 The image is given the light that a surface at rest would send back, and everything after it sees a frame of one moment:
 
@@ -62,14 +62,14 @@ _SAMPLES = 8
 _ALONG, _ACROSS, _SURE = 0.3, 1.0, 0.9
 # Deviations of this many standard deviations count half: edges and textures are off by more than noise.
 _HALF_SIGMAS = 2.0
-# Times are told apart if less than this part of them is unsure.
-_TOLD = 0.5
+# Times are distinguished if less than this part of them is unsure.
+_DISTINCT = 0.5
 # Phase that motion may leave unnoticed, rad: the noise of good frames.
 _UNNOTICED = 0.01
 
 
 class FieldMotion(NamedTuple):
-    """What moved between a frame's colours."""
+    """Motion between a frame's colours."""
 
     change: npt.NDArray[np.float32]
     """(H, W) rad, what the phase has changed by since the frame before; NaN where it is not known."""
@@ -81,12 +81,12 @@ class FieldMotion(NamedTuple):
     shares: npt.NDArray[np.float64]
     """(hypotheses,) probability of each of `ColorFields`."""
     too_fast: float
-    """Share of the pixels seen in both frames whose change is not told by them, because it is too fast."""
+    """Share of the pixels seen in both frames whose change they do not show, because it is too fast."""
 
     @property
     def unknown(self) -> float:
-        """Share of the pixels that move so much that it shows, while the colours' times are not told apart."""
-        unsure = np.where(self.unsure > _TOLD * self.times.std(axis=-1), self.unsure, 0)
+        """Share of the pixels that move so much that it shows, while the colours' times are not distinguished."""
+        unsure = np.where(self.unsure > _DISTINCT * self.times.std(axis=-1), self.unsure, 0)
         seen = np.count_nonzero(np.abs(np.nan_to_num(self.change)) * unsure > _UNNOTICED)
         return float(seen / max(int(np.count_nonzero(np.isfinite(self.change))), 1))
 
@@ -104,7 +104,7 @@ class FieldMotion(NamedTuple):
 
 
 class RowMotion(NamedTuple):
-    """What moved between a frame's rows."""
+    """Motion between a frame's rows."""
 
     change: npt.NDArray[np.float32]
     """(H, W) rad, what the phase has changed by since the frame before; NaN where it is not known."""
@@ -162,10 +162,10 @@ def _averaged_change(
     share = averaged(known)
     mean = averaged(known * np.cos(step)) + 1j * averaged(known * np.sin(step))
     change = np.angle(mean)
-    told = np.abs(change) < _FASTEST
+    slow = np.abs(change) < _FASTEST
     filled = share > _FILLED
-    change = np.where(told & filled, change, np.nan).astype(np.float32)
-    too_fast = float(share[filled & ~told].sum()) / max(float(share[filled].sum()), TINY)
+    change = np.where(slow & filled, change, np.nan).astype(np.float32)
+    too_fast = float(share[filled & ~slow].sum()) / max(float(share[filled].sum()), TINY)
     return np.asarray(cv2.resize(change, step.shape[::-1], interpolation=cv2.INTER_NEAREST), np.float32), too_fast
 
 
@@ -189,7 +189,7 @@ def measure_motion(
     fields : ColorFields
         When the projector shows its colours.
     shares : (hypotheses,), optional
-        What the frame before has told of that; None: nothing.
+        Of the frame before; None: not known.
     period_px : float
         Camera px per cycle.
     rows_last : bool

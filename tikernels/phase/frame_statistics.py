@@ -1,4 +1,4 @@
-"""What a frame says about itself before it is decoded: the fringe's period, the noise, how bright it is."""
+"""Statistics of a frame before it is decoded: the fringe's period, noise and brightness."""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -45,7 +45,7 @@ class _Probe(IntEnum):
 
 @dataclass(frozen=True)
 class FrameStatistics:
-    """What `measure_frame` found; light in 0..1 of full scale."""
+    """Results of `measure_frame`; light in 0..1 of full scale."""
 
     period_px: float | None  # camera px a cycle across the stripes; None: no fringe stands out
     noise: tuple[float, float]  # read noise and gain: a channel's variance is read^2 + gain * light
@@ -65,12 +65,12 @@ class FrameLevels:
     intensity: float  # least mean of the channels of a pixel that counts
     modulation: float  # least modulation of a pixel that counts
     precision: float = 0.0  # least precision of its phase, 1 / rad^2
-    least_telling: float = 0.0  # of one that tells what all have in common, where that is more
+    least_reliable: float = 0.0  # of one that is used for frame-wide quantities, where that is more
 
     @property
-    def telling(self) -> float:
-        """Least modulation of a pixel that tells what all have in common: ambient light bends darker ones."""
-        return max(self.modulation, self.least_telling)
+    def reliable(self) -> float:
+        """Least modulation of a pixel used to estimate frame-wide quantities: ambient light bends darker ones."""
+        return max(self.modulation, self.least_reliable)
 
     @property
     def clipped(self) -> float:
@@ -154,8 +154,8 @@ def _noise(
     light = np.round(light, 5)
     # Grouped by the pixel above, whose own noise is another one.
     light, changes = light[:, :-1], changes[:, 1:]
-    telling = (light > _LIT * bright) & (light < CLIPPED)
-    light, changes = light[telling], changes[telling]
+    usable = (light > _LIT * bright) & (light < CLIPPED)
+    light, changes = light[usable], changes[usable]
     levels, variances = [], []
     if not len(light):
         return 0.0, 0.0

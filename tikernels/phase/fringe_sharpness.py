@@ -1,4 +1,4 @@
-"""How sharp the fringe is from place to place, read off the frame: the projector's depth of focus.
+"""Sharpness of the fringe from place to place, measured in the frame: the projector's depth of focus.
 
 A blur of the projector multiplies harmonic n of its light by q^(n^2). The frame's template (`channel_template.py`) has
 the mean of it; where q is exp(x) times that, harmonic n is exp(n^2 x) times the template's. Of that the nodes' A and B
@@ -92,7 +92,7 @@ def sum_sharpness_kernel(
     out_sums: F32Array3,  # (Hb, Wb, 3)
 ):
     """Sum up, block by block, what the sharpness explains of what brightness and phase leave over."""
-    # Half of the blocks tell enough, as of a chessboard one colour.
+    # Half of the blocks are enough, as one colour of a chessboard.
     for t in range(SPREAD * out_sums.shape[0] * strip_count(out_sums.shape[1], 2 * LANES)):
         if t % SPREAD > 0:
             continue

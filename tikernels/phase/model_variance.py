@@ -1,4 +1,4 @@
-"""What the channels' model is wrong by, as a variance of the phase: the fit's misfit tells it.
+"""Error of the channels' model, as a variance of the phase, determined by the fit's misfit.
 
     variance = misfit / precision + error
 

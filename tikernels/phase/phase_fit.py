@@ -64,7 +64,7 @@ MAX_MISFIT = SIGMAS**2
 
 
 class FittedPhase(NamedTuple):
-    """What the fit says of every pixel, (H, W) float32 each."""
+    """Results of the fit at every pixel, (H, W) float32 each."""
 
     phase: F32
     """rad, a little beyond [-pi, pi]; NO_PHASE where a pixel is dark, clipped, or without fringe."""

@@ -1,4 +1,4 @@
-"""What a projector whose light is not proportional to the code does to the phase, where its response is known.
+"""Effect on the phase of a projector whose light is not proportional to the code, where its response is known.
 
 Through a response the sinusoids are no longer sinusoids, and the arctangent's phase deviates from the true one by a
 function of the cycle alone: `response_map` computes it, its inverse undoes it. Gamma 2 makes 0.23 rad
@@ -94,7 +94,7 @@ def response_table(
 
 
 class ResponsePrior:
-    """What a known response is expected to do to the phase and to the channels, for every blur.
+    """Expected effect of a known response on the phase and on the channels, for every blur.
 
     Parameters
     ----------

@@ -300,7 +300,7 @@ def left_of_differences(pairs: int, step: int) -> float:
 class Smoother:
     """Smooths phases of one size: first the rows, and when the whole cycles are known the columns.
 
-    In between the phases may be unwrapped, and corrected by what their order tells, as `modulation_correction.py` does:
+    In between the phases may be unwrapped, and corrected by what their order shows, as `modulation_correction.py` does:
     along the stripes that is the same for all pixels of a window, across them it is not.
 
     Parameters

@@ -1,4 +1,4 @@
-"""Which surface each place shows: the one whose matrix leaves the least over.
+"""Label each place with the surface that it shows: the one whose matrix leaves the smallest residual.
 
 At some phases two surfaces look alike: misfits (`surface_misfits.py`) are averaged over a few pixels, which keeps edges
 sharp, and over a good part of a cycle. Pixels show what the places of the lattice around them do; they themselves are
@@ -61,12 +61,12 @@ _OPENING_PX, _OPENING_CYCLES = 7, 1.0
 
 
 class Relabelled(NamedTuple):
-    """Which surface each place shows, once misfits have been compared."""
+    """The surface that each place shows, once misfits have been compared."""
 
     labels: _Labels
     """(h, w) new numbers; NO_SURFACE stays."""
     kept: list[int]
-    """Which of the surfaces before have those numbers."""
+    """Previous surfaces that have those numbers."""
     unexplained: _Mask
     """(h, w) places that fit none."""
     around: _Misfits
@@ -218,7 +218,7 @@ def values_between(values: F32Array3, surface: i32, v: f32, x: i32, columns: i32
 
 @ti.func
 def asks(cells: I32Array2, y: i32, strip: i32, surface: i32) -> u1:
-    """Whether a surface is asked for sixteen places of a row."""
+    """Return whether a surface is compared at sixteen places of a row."""
     return (cells[y // CELL_ROWS, strip] >> surface) & 1 == 1
 
 
@@ -333,7 +333,7 @@ def choose_surfaces(
         The labels; NO_SURFACE stays.
     """
     misfits = runtime.empty((len(neutral.unmixing), *(int(n) for n in contrast.shape)), np.float32)
-    # A pixel does not tell what its cycle's contrast is.
+    # A pixel does not show its cycle's contrast.
     even = float(np.hypot(code_doubt, UNEVEN))
     fill_residuals(light, contrast, cells, neutral, levels, 1, even, scatter, misfits)
     near, along = (

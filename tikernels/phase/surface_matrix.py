@@ -1,4 +1,4 @@
-"""What a surface's colour makes of the crosstalk: a matrix, predicted from the colour and fitted to its pixels.
+"""Effect of a surface's colour on the crosstalk: a matrix, predicted from the colour and fitted to its pixels.
 
 Of M, the crosstalk on white, entry ij belongs to the wavelengths where filter i and primary j meet, and is weighed by
 the reflectance there:
@@ -141,7 +141,7 @@ class PredictedMatrices:
 
 @dataclass(frozen=True, eq=False)
 class FittedMatrices:
-    """What the pixels of all surfaces say."""
+    """Matrices fitted to the pixels of all surfaces."""
 
     matrices: _Array
     """(n, 3, 3) K, the sum of each 3."""
@@ -160,9 +160,9 @@ class FittedMatrices:
     """(n,) by how much the channels' fundamentals differ from those predicted, as a fraction; what all three have in
     common is left out."""
     cost: float
-    """What spoke against all of it before the step, in squares of standard deviations."""
+    """Total misfit before the step, in squares of standard deviations."""
     frames: _Array
-    """(n,) how many frames of a video have told it."""
+    """(n,) number of frames of a video that contributed."""
 
     def only(self, surfaces: list[int]) -> "FittedMatrices":
         """Return what was found of some of the surfaces."""
@@ -240,7 +240,7 @@ def fit_matrices(
     before : FittedMatrices, optional
         Of the first of these surfaces, where the fit begins; None: with the prediction.
     fit_light : bool
-        Whether the surfaces tell the light, too; else it stays as it was before.
+        True to fit the light, too; else it stays as it was before.
     """
     count, harmonics, predicted = len(samples.light), light.shape[1], prediction.matrices
     expected, of_paint, of_skin = _priors_of_surfaces(samples, prediction, expected_ambient, ambient, doubt.leak)
@@ -406,7 +406,7 @@ def _prior_of_light(light: _Complexes, doubt: LightDoubt) -> _Array:
 
 
 class _Equations(NamedTuple):
-    """How z and the brightness change with all that is fitted: normal equations of every surface."""
+    """Normal equations of every surface: the changes of z and the brightness with all that is fitted."""
 
     gram: _Array  # (n, 12 + harmonics, 12 + harmonics)
     right: _Array  # (n, 12 + harmonics)

@@ -1,7 +1,7 @@
-"""What each surface's matrix leaves over of the light at a place.
+"""Residual light at a place under each surface's matrix.
 
-A pixel's three channels have two unknowns, brightness and phase; what is left under each surface's matrix tells the
-surfaces apart, sharper than any mean colour, which the fringe goes through. With x, y and a the pixel's b cos(phi),
+A pixel's three channels have two unknowns, brightness and phase; the residual under each surface's matrix distinguishes
+the surfaces, more sharply than any mean colour, which the fringe goes through. With x, y and a the pixel's b cos(phi),
 b sin(phi) and background as if its surface were neutral, it is
 
     left = |(x, y)| - a rho,
@@ -53,7 +53,7 @@ MODEL_ERROR, _AMBIENT_ERROR = 0.01, 0.04
 _PHASES, _PLACES = 256, 1024
 # A code's contrast is the mean around a place, by a Gaussian of this standard deviation, cycles.
 _CODE_CYCLES = 0.3
-# Errors that neighbours share, as JPEG's, are told by means along the stripes over this many cycles.
+# Errors that neighbours share, as JPEG's, are measured by means along the stripes over this many cycles.
 _SHARED_CYCLES = 2.0
 
 
@@ -77,7 +77,7 @@ class Lattice(NamedTuple):
 
     @property
     def pixels(self) -> int:
-        """How many pixels a place stands for."""
+        """Number of pixels that a place represents."""
         return self.rows * self.columns
 
     def blurred(self, values: npt.NDArray[np.bool_ | np.float32], sigma_px: float) -> npt.NDArray[np.float32]:
@@ -91,7 +91,7 @@ class Lattice(NamedTuple):
 
 
 class NeutralLight(NamedTuple):
-    """What each surface's light is as that of a neutral one."""
+    """Each surface's light, converted to that of a neutral one."""
 
     unmixing: npt.NDArray[np.float32]
     """(N, 3, 3) takes it to b cos(phi), b sin(phi) and a."""

@@ -1,7 +1,8 @@
 """Places of surfaces next to what each surface's matrix predicts of them: what `surface_matrix.py` is fitted to.
 
 In units of noise a place is c = s K p(phi) + z n, n across K p and its derivative by the phase, K p'. A step of Gauss
-and Newton finds the phase; s is told by what lies across K p', so neither s nor z depends on a phase a little off.
+and Newton finds the phase; s is determined by what lies across K p', so neither s nor z depends on a phase a little
+off.
 """
 
 from dataclasses import dataclass

@@ -1,19 +1,19 @@
-"""How sure the phase of each pixel is: what the fit says, checked against what rows really differ by.
+"""Uncertainty of each pixel's phase: the fit's own, checked against the actual differences between rows.
 
     sigma^2 = scatter^2 (smoothed + own / precision) + model + edge^2 empty
 
-One over the fit's precision (`phase_fit.py`) is the variance of a pixel's phase. What smoothing makes of it
-(`smoothing.py`) is for noise; the channels' model's own error, which neighbours share, stays. What that model is wrong
-by the fit's misfit tells (`model_variance.py`), and edges between surfaces add to it (`surface_edges.py`). What is
-wrong in the same way as brightness or phase does not show. Smoothing leaves all of that.
+One over the fit's precision (`phase_fit.py`) is the variance of a pixel's phase. The effect of smoothing on it
+(`smoothing.py`) is for noise; the channels' model's own error, which neighbours share, stays. That error follows from
+the fit's misfit (`model_variance.py`), and edges between surfaces add to it (`surface_edges.py`). What is wrong in the
+same way as brightness or phase does not show. Smoothing leaves all of that.
 
 Whatever else differs from row to row, such as ripple that balance and crosstalk leave, shows in the scatter: third
 differences over four rows a third of a cycle apart, which leave a surface's bend out, in units of what the law of
 propagation expects of them (JCGM 100:2008, 5.1.2, doi:10.59161/JCGM100-2008E). At a third of a cycle, ripple of once or
 twice a cycle counts sqrt(27 / 20) as much as noise, and that of three times a cycle not at all; at a quarter, that of
-twice a cycle counts 1.8 times. Their median tells it, where noise is most of what is expected: a model is wrong in the
-same way over many rows, which then scatter less than they are off.
-Near an edge of the mask part of the balance window is empty.
+twice a cycle counts 1.8 times. Their median shows it, where noise is most of what is expected: a model is wrong in the
+same way over many rows, which then scatter less than they are off. Near an edge of the mask part of the balance window
+is empty.
 """
 
 from functools import cache
@@ -282,7 +282,7 @@ def estimate_phase_sigma(
 def _scatter(
     unwrapped: F32, precision: F32, model: F32, smoothed: F32, mask: U8, pairs: int, period_px: float
 ) -> float:
-    """Return how far rows a third of a cycle apart differ, in units of what is expected; 1 where none tells."""
+    """Return how far rows a third of a cycle apart differ, in units of what is expected; 1 without evidence."""
     step, every = max(2, round(period_px / 3)), 2 * block_rows(period_px)
     if int(mask.shape[0]) <= (len(THIRD_DIFFERENCE) - 1) * step:
         return 1.0

@@ -1,4 +1,4 @@
-"""What a channel shows under the projector's white, by one cycle of it under the fringe.
+"""A channel's level under the projector's white, from one cycle of it under the fringe.
 
 A fringe is brightest where the pattern's code is one, which is the projector's white. With the crosstalk undone, one
 cycle of primary j is p_j = 1 + its harmonics, and its peak P_j is by how much white is brighter than the mean over a

@@ -1,4 +1,4 @@
-"""How a frame's pixels are stored, in the words of cameras and codecs."""
+"""Storage formats of a frame's pixels, in the words of cameras and codecs."""
 
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
@@ -11,7 +11,7 @@ Layout = Literal["rgb", "bayer", "yuv"]
 Bayer = Literal["rggb", "bggr", "grbg", "gbrg"]
 Siting = Literal["left", "centre", "top-left", "top", "bottom-left", "bottom", "right", "top-right", "bottom-right"]
 Matrix = Literal["bt601", "bt709", "bt2020"]
-#: np.uint8, np.uint16 or np.float32: which, no type checker can tell.
+#: np.uint8, np.uint16 or np.float32: type checkers cannot determine which.
 LevelType: TypeAlias = type[Any]
 
 BAYER_PATTERNS: tuple[Bayer, ...] = ("rggb", "bggr", "grbg", "gbrg")
@@ -39,7 +39,7 @@ FLOAT_BITS = 32
 
 @dataclass(frozen=True)
 class PixelFormat:
-    """How a frame's planes are stored.
+    """Storage format of a frame's planes.
 
     Planes are uint8 up to 8 bits, uint16 above, and float32 with 32 bits.
 
@@ -126,7 +126,7 @@ class PixelFormat:
 
     @property
     def rgb_dtype(self) -> LevelType:
-        """What `develop` makes of it: RGB of 8, 16 or 32 bits stays what it is, everything else becomes float32."""
+        """Type that `develop` returns: that of RGB of 8, 16 or 32 bits; float32 of everything else."""
         return self.dtype if self.layout == "rgb" and self.white_level in (255, 65535, 1) else np.float32
 
     def plane_shapes(self, height: int, width: int) -> tuple[tuple[int, ...], ...]:

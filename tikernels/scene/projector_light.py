@@ -1,6 +1,6 @@
-"""What the projector of a simulated rig sends where: its lens, its pixels, and the light between them.
+"""Light that a simulated rig's projector sends to each place: its lens, its pixels, and the light between them.
 
-Kernels take its optics as 31 numbers: those of `pack_lens`; fx, fy, cx, cy (px); and by how much R, G and B land beside
+Kernels take its optics as 31 numbers: those of `pack_lens`; fx, fy, cx, cy (px); and the offset of R, G and B from
 their places (x and y of each, px).
 """
 

@@ -73,7 +73,7 @@ def write_truth(
 
 @ti.func
 def inside_frame(pixel: vec2, light: F32Array3) -> i32:
-    """Whether the projector has a pixel there."""
+    """Return whether the projector has a pixel there."""
     across = pixel.x >= -0.5 and pixel.x <= light.shape[1] - 0.5
     return across and pixel.y >= -0.5 and pixel.y <= light.shape[0] - 0.5
 

@@ -1,4 +1,4 @@
-"""Whether a surface goes on from one pixel to the next, and how much a pixel's vote on that weighs.
+"""Continuity of a surface from one pixel to the next, and the weight of a pixel's vote on it.
 
 Along and across the stripes the phase usually changes by the frame's rates. A neighbour whose difference departs from
 the rate, whole cycles apart, by more than `MAX_DEPARTURE` lies on another surface; one that departs by little, and is
@@ -38,7 +38,7 @@ def cycles_and_departure(difference: f32, rate: f32):
 
 @ti.func
 def surely_along(departs: f32, quality: f32, quality2: f32) -> u1:
-    """Whether a pixel surely goes on where the one before it in the row ends."""
+    """Return whether a pixel surely continues the one before it in the row."""
     low, high = ti.min(quality, quality2), ti.max(quality, quality2)
     differ = low < _ALIKE_ALONG * high  # false where the quality is missing
     return (departs <= _SURE_ALONG) & (not differ)
@@ -46,7 +46,7 @@ def surely_along(departs: f32, quality: f32, quality2: f32) -> u1:
 
 @ti.func
 def surely_across(departs: f32, quality: f32, quality2: f32) -> u1:
-    """Whether a pixel surely goes on where the one above it ends."""
+    """Return whether a pixel surely continues the one above it."""
     low, high = ti.min(quality, quality2), ti.max(quality, quality2)
     return (departs <= _SURE_ACROSS) & (low > _ALIKE_ACROSS * high)
 

@@ -40,7 +40,7 @@ _SPAN_BITS = 16
 
 
 class UserUnwrapper(Protocol):
-    """What a user's own unwrapper must have.
+    """Interface of a user's own unwrapper.
 
     Examples
     --------

@@ -145,7 +145,7 @@ def sum_windows_kernel(
 
 @ti.func
 def precedes(y: i32, x: i32, y2: i32, x2: i32, middle_y: i32, middle_x: i32) -> i32:
-    """Whether the filter comes to (y, x) before it comes to (y2, x2)."""
+    """Return whether the filter reaches (y, x) before (y2, x2)."""
     earlier = 0
     if y != y2:
         # The middle row, the rows above it upwards, the rows below it downwards.

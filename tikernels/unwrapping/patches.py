@@ -25,7 +25,7 @@ _SERIAL = 12000
 
 
 def one_thread_is_faster(count: int) -> bool:
-    """Whether one thread is done with this many patches or contacts before others have woken up."""
+    """Return whether one thread is done with this many patches or contacts before others have woken up."""
     return runtime.started() == "cpu" and count < _SERIAL
 
 
@@ -45,7 +45,7 @@ class PatchGraph(NamedTuple):
     votes: npt.NDArray[np.int32]
     """(C,) how well each contact is supported."""
     borders: Borders | None = None
-    """What the borders of all patches show; None: none were measured."""
+    """Evidence of the borders of all patches; None: none were measured."""
 
 
 class RegionTable(NamedTuple):

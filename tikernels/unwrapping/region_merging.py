@@ -21,7 +21,7 @@ def table_place(contacts: I32Array2, e: i32, size: i32) -> i32:
 
 @ti.func
 def same_claim(contacts: I32Array2, e: i32, e2: i32) -> i32:
-    """Whether two contacts join the same regions by the same shift."""
+    """Return whether two contacts join the same regions by the same shift."""
     same = 1
     for row in ti.static((Contact.FROM, Contact.TO, Contact.SHIFT)):
         same &= ti.cast(contacts[row, e] == contacts[row, e2], i32)

@@ -1,10 +1,10 @@
 """Part regions that hang together by the smaller part of their common border.
 
-Two surfaces may touch where the step between them is a whole cycle: there the phase goes on, and what grows along its
-best contacts makes one region of them. The rest of their border tells that they are two. So patches are first joined
-to parts that step nowhere against each other (`grow_parts_kernel`), those with the same slopes first. The parts' whole
-borders are known then, and in rounds each joins the one with which it goes on over the largest share of their common
-border, if that is the larger part of it. Between parts that stay apart nothing tells the whole cycles: they become
+Two surfaces may touch where the step between them is a whole cycle: there the phase is continuous, and growing along
+its best contacts joins them to one region. The rest of their border shows that they are two. So patches are first
+joined to parts that step nowhere against each other (`grow_parts_kernel`), those with the same slopes first. The parts'
+whole borders are known then, and in rounds each joins the one with which it goes on over the largest share of their
+common border, if that is the larger part of it. Between parts that stay apart the whole cycles are unknown: they become
 regions of their own.
 
 On simulated piles of five objects of any tilt, each touching what is behind it at a step of whole cycles, the pixels
@@ -35,7 +35,7 @@ _MOST_SUPPORT, _LEAST_DIFFERENCE = 16.0, 0.0005
 # Of their common border, two parts must go on over more than the first share; one that would be left out alone, more
 # than the second.
 _MIN_SHARE, _MIN_SLIVER_SHARE = 0.6, 0.5
-# A part of fewer pixels is a sliver, whose relation to the rest nobody will tell: it is left out.
+# A part of fewer pixels is a sliver, whose relation to the rest stays unknown: it is left out.
 _MIN_PART_PX = 400
 # A patch from which the surface goes on to other parts over this many pixels may hold their border, where it cannot be
 # seen. It is left out: of a bust before a wall, 320x240 pixels, 163 pixels were whole cycles off, now 51.
@@ -57,7 +57,7 @@ class _List(IntEnum):
 
 @ti.func
 def stepping_between(parents: I32Array1, a: i32, b: i32, lists: I32Array2, ends: I32Array1, px: F32Array1) -> f32:
-    """Return over how many pixels two parts step against each other: the one with fewer such ends tells."""
+    """Return over how many pixels two parts step against each other, by the one with fewer such ends."""
     few, other = a, b
     if lists[_List.LENGTH, b] < lists[_List.LENGTH, a]:
         few, other = b, a
@@ -249,7 +249,7 @@ def _join_parts(
     touches = np.concatenate([np.zeros(len(pairs) - len(touching)), np.ones(len(touching))])
     while True:
         pairs, member = np.unique(pairs, return_inverse=True)
-        going_on, stepping, touches = (np.bincount(member, told) for told in (going_on, stepping, touches))
+        going_on, stepping, touches = (np.bincount(member, px) for px in (going_on, stepping, touches))
         a, b = pairs // count, pairs % count
         border = going_on + stepping
         share = going_on / np.maximum(border, 1e-9)

@@ -1,4 +1,4 @@
-"""Where the orders of a region begin: at 0 in its start, or at what brings it nearest to an expected depth."""
+"""First order of a region: 0 at its start, or the one that brings it nearest to an expected depth."""
 
 from tikernels._taichi import F32Array1, F32Array2, F32Array3, I32Array2, Static, f32, i32, ti, vec3
 from tikernels.depth.triangulation import load_projector, projected

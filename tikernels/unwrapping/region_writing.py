@@ -104,7 +104,7 @@ def finish_patches_kernel(
 def beyond_step(
     phase: F32Array2, labels: I32Array2, final: I32Array2, y: i32, x: i32, y2: i32, x2: i32, rate: f32
 ) -> i32:
-    """Whether a neighbour's region is too small, or the same one whole cycles away."""
+    """Return whether a neighbour's region is too small, or the same one whole cycles away."""
     label, label2 = labels[y, x], labels[y2, x2]
     draft, draft2 = label >> ORDER_BITS, label2 >> ORDER_BITS
     beyond = 0
@@ -121,7 +121,7 @@ def beyond_step(
 
 @ti.func
 def beside_step(phase: F32Array2, rates: F32Array2, labels: I32Array2, final: I32Array2, y: i32, x: i32) -> i32:
-    """Whether a neighbour saw two surfaces, is too small a region, or lies whole cycles away."""
+    """Return whether a neighbour saw two surfaces, is too small a region, or lies whole cycles away."""
     along, across, _ = frame_rates(rates)
     beside = 0
     for side in range(4):

@@ -10,10 +10,10 @@ a side, g the usual change there (`phase_change.py`), and b the brightness witho
 
 because what turns away may turn away further, and gets darker, and what does not does neither, but that a last pixel
 sees some of the darkness beyond; smoothing along the stripes leaves 0.27 of the variance of a single pixel's p_1. Where
-noise would let 0.8 rad pass, which is a step (`smoothing.py`), nothing is told, and neither where one of the next three
-pixels, fitted as well, departs from p + u_1 - u_2 by 1.5 rad: there another surface begins. The side that fits best of
-four tells the order k. At least two of the eight neighbours must be of that surface and none of another: a pixel that
-sees two surfaces at once belongs to neither. Rims grow by a pixel a turn.
+noise would let 0.8 rad pass, which is a step (`smoothing.py`), nothing is decided, and neither where one of the next
+three pixels, fitted as well, departs from p + u_1 - u_2 by 1.5 rad: there another surface begins. The side that fits
+best of four determines the order k. At least two of the eight neighbours must be of that surface and none of another: a
+pixel that sees two surfaces at once belongs to neither. Rims grow by one pixel per pass.
 
 What lies beyond a rim may shine into its pixels by blur. To their variance that adds
 
@@ -121,7 +121,7 @@ def brightest_beyond(brightness: F32Array2, region: I32Array2, y: i32, x: i32) -
 
 @ti.func
 def lies_among_its_own(unwrapped: F32Array2, region: I32Array2, y: i32, x: i32, value: f32, number: i32) -> u1:
-    """Whether a pixel of this phase and region has neighbours on its surface, and none on another."""
+    """Return whether a pixel of this phase and region has neighbours on its surface, and none on another."""
     own, others = 0, 0
     for place in range(9):
         j, i = y + place // 3 - 1, x + place % 3 - 1

@@ -1,9 +1,9 @@
-"""Where patches border on each other: over how many pixels the surface goes on, and over how many it steps.
+"""Borders between patches: the number of pixels over which the surface continues, and over which it steps.
 
-The phase is compared across four pixels with what the slopes on either side let expect. Two surfaces that touch may
-agree in places, where the step between them is a whole cycle; along most of their border they do not. Pixels at a
-border may see both surfaces or two paints, and their phase is neither's. So the four pixels are laid across the border
-at each of the four places where they reach over it, and the second least departure counts.
+The phase is compared across four pixels with what the slopes on either side predict. Two surfaces that touch may agree
+in places, where the step between them is a whole cycle; along most of their border they do not. Pixels at a border may
+see both surfaces or two paints, and their phase is neither's. So the four pixels are laid across the border at each of
+the four places where they reach over it, and the second least departure counts.
 """
 
 from enum import IntEnum
@@ -41,7 +41,7 @@ _REACH, _SLOPE_PX, _MAX_SLOPE = 4, 2, 0.6
 _GOES_ON, _STEPS = 0.15, 0.25
 _GOES_ON_SIGMAS, _STEPS_SIGMAS = 2.5, 4.0
 _SIGMA_OF_MEDIAN = 1.4826
-# Where that is more than this (rad), no departure tells a step from noise.
+# Where that is more than this (rad), no departure distinguishes a step from noise.
 _MOST = 2.0
 # Around a cell are those up to this many further: a bumpy surface departs by more than the wall behind it.
 _AROUND = 2
@@ -75,7 +75,7 @@ class Borders(NamedTuple):
 
 
 class CellSamples(NamedTuple):
-    """What cells show of the phase, before borders are measured."""
+    """Samples of the phase in each cell, before borders are measured."""
 
     departures: npt.NDArray[np.float32]
     """(2, cells) rad, how far the phase departs at one place, along and across the stripes; NO_PHASE if unknown."""
@@ -92,7 +92,7 @@ def slope_beyond(difference: f32, rate: f32) -> f32:
 
 @ti.func
 def departure(phase: F32Array2, y: i32, x: i32, down: i32, rate: f32) -> vec2:
-    """How far (rad) the phase departs from what the slopes before and after let expect; NO_PHASE if not to be told.
+    """Return how far (rad) the phase departs from what the slopes before and after predict; NO_PHASE if unknown.
 
     Then the whole cycles that were taken off.
     """
@@ -227,7 +227,7 @@ def _limits(departures: npt.NDArray[np.float32], rows: int, columns: int) -> npt
     Parameters
     ----------
     departures : (2, cells)
-        By how much the phase departs at a place of each cell, along and across; NO_PHASE if it cannot be told.
+        By how much the phase departs at a place of each cell, along and across; NO_PHASE if unknown.
     """
     size = 2 * _AROUND + 1
     # One picture above the other, and a frame around each.
@@ -235,7 +235,7 @@ def _limits(departures: npt.NDArray[np.float32], rows: int, columns: int) -> npt
     framed[:, _AROUND:-_AROUND, _AROUND:-_AROUND] = departures.reshape(2, rows, columns)
     pictures = framed.reshape(-1, framed.shape[2])
     median = cv2.medianBlur(pictures, size)
-    # Where some of those around are missing, for they cannot be told or lie outside, the median is of the others.
+    # Where some of those around are missing, because they are unknown or outside, the median is of the others.
     missing = cv2.dilate((pictures >= NO_PHASE).astype(np.uint8), np.ones((size, size), np.uint8)) != 0
     inside = np.zeros(framed.shape, bool)
     inside[:, _AROUND:-_AROUND, _AROUND:-_AROUND] = True
