@@ -20,7 +20,7 @@ from hardware.errors import RigError
 
 #: How far an exposure may be off a whole number of cycles, as a fraction of it: with three equal colours and a full
 #: fringe 0.008 rad of phase at most. 59.94 and 60 Hz differ by half of it, and at 60 Hz it is 33 us, while cameras set
-#: their exposure to 1 us, or to a row's time of some 10 us.
+#: their exposure to 1 us, or to a row's time of about 10 us.
 TOLERANCE = 0.002
 
 

@@ -16,7 +16,7 @@ from hardware.protocols import CameraFrame, Levels, Strobe, TriggerStatus
 from hardware.pulses import PulseTrain
 from hardware.run_start import Lateness, Start, lateness, start_of
 
-# How far two frames' distance may be off the period, as a fraction of it: clocks are off by some 0.0001, timestamps by
+# How far two frames' distance may be off the period, as a fraction of it: clocks are off by about 0.0001, timestamps by
 # some microseconds, and what is further off was exposed by something else, or under the light of another period.
 _TOLERANCE = 0.05
 # However much pulses jitter, a lost one is a whole period.

@@ -28,7 +28,7 @@ def announced(group: str) -> Mapping[str, tuple[Plugin, ...]]:
     return _announced(group, tuple(sys.path))
 
 
-@lru_cache(maxsize=8)  # reading takes some 10 ms for hundreds of packages
+@lru_cache(maxsize=8)  # reading takes about 10 ms for hundreds of packages
 def _announced(group: str, _path: tuple[str, ...]) -> Mapping[str, tuple[Plugin, ...]]:
     found: dict[str, tuple[Plugin, ...]] = {}
     # Folders are read in any order.

@@ -20,7 +20,7 @@ NonNegative = Annotated[float, Field(ge=0, le=_LONGEST_S)]
 _MOST_GAIN_DB = 100.0
 # What instruments and their libraries count in.
 Count = Annotated[int, Field(ge=1, lt=2**31)]
-# The largest area sensors have sides of some 19,000 px.
+# The largest area sensors have sides of about 19,000 px.
 _Side = Annotated[int, Field(ge=1, le=2**15)]
 _OWN_DRIVER = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*")  # module:Class
 

@@ -49,7 +49,7 @@ _NOTHING_SET_UP = "the simulated trigger has no burst to make: configure it firs
 _STOP_S = 5.0
 
 
-# What is seen where nobody renders a scene: fringes of this many px a cycle, dimmer in picture 1.
+# What is seen where nobody renders a scene: fringes of this many px per cycle, dimmer in picture 1.
 _SIZE_PX = (640, 480)
 _PERIOD_PX = 16.0
 

@@ -52,7 +52,7 @@ def _provide_cache(name: str) -> bool:
     prefix = "ti" if name == "taichi" else "qd"
     variable = f"{prefix}_offline_cache_file_path".upper()
     home = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.environ.get("HOME", ""), ".cache")
-    if not os.path.isabs(home):  # kernels are programs, and not to come from the folder that somebody stands in
+    if not os.path.isabs(home):  # kernels are programs, and must not come from the current folder
         home = ""
     folder = os.environ.get(variable) or (home and os.path.join(home, name, f"{prefix}cache"))
     stays = bool(folder) and _is_usable(str(folder))

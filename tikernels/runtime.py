@@ -54,7 +54,7 @@ _cuda: "_CudaContext | None" = None
 
 
 class _CudaContext:
-    """The CUDA context of the thread that starts the device. Taichi allocates in that of the thread that asks."""
+    """The CUDA context of the thread that starts the device. Taichi allocates in that of the calling thread."""
 
     def __init__(self) -> None:
         self._driver = ctypes.CDLL("nvcuda.dll" if os.name == "nt" else "libcuda.so.1")
@@ -239,7 +239,7 @@ def vulkan_devices() -> list[VulkanDevice]:
     loader = _load_vulkan()
     if loader is None:
         return []
-    # VkInstanceCreateInfo: sType = 1, then nothing asked for; portability drivers (macOS) are left to Metal.
+    # VkInstanceCreateInfo: sType = 1, then nothing requested; portability drivers (macOS) are left to Metal.
     create_info = (ctypes.c_uint64 * 8)(1)
     instance = ctypes.c_void_p()
     if loader.vkCreateInstance(create_info, None, ctypes.byref(instance)) != 0:
@@ -337,7 +337,7 @@ def synchronize() -> None:
 def _start(arch: str, cpu_threads: int | None) -> str | None:
     """Start one arch; the reason where it cannot be."""
     if arch == "vulkan" and not vulkan_devices():
-        return "vulkan: no driver"  # asked first because the runtime writes to stderr before it gives up
+        return "vulkan: no driver"  # checked first because the runtime writes to stderr before it gives up
     if (fault := _environment_fault(arch)) is not None:
         return fault
     threads: dict[str, int] = {}

@@ -23,7 +23,7 @@ from hardware.settings import CameraSettings
 
 Value = str | float | int | bool
 
-# Cameras that say so get ready within some 100 ms after acquisition is started.
+# Cameras that say so get ready within about 100 ms after acquisition is started.
 _READY_S = 2.0
 # A burst's buffers, at most: 1 GiB holds 200 frames of 5 megapixels, a second and more for whoever reads them.
 _BUFFER_BYTES = 1 << 30
@@ -91,7 +91,8 @@ _GEOMETRY = (
     ("ReverseX", False),
     ("ReverseY", False),
 )
-#: SFNC, Basler's ace 2, older Basler, older FLIR: frames a second with everything as it is, readout and link included.
+#: SFNC, Basler's ace 2, older Basler, older FLIR: frames per second with everything as it is, readout and link
+#: included.
 _RESULTING_RATES = (
     "ResultingFrameRate",
     "BslResultingAcquisitionFrameRate",

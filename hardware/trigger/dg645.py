@@ -19,7 +19,7 @@ BAUDS = (9600, 115200, 57600, 38400, 19200, 4800)
 """As it is delivered, and what else it can be set to."""
 
 ENDLESS = 2**31 - 1
-"""The most pulses a burst, by the maker's own driver; the train that goes on until it is aborted is one of these."""
+"""The most pulses per burst, by the maker's own driver; the train that goes on until it is aborted is one of these."""
 LIMITS = TriggerLimits(
     tick_s=10e-9,  # of the burst's period; delays are finer
     min_period_s=100e-9,

@@ -61,7 +61,7 @@ class CaptureProgress:
     n_bursts: int
     n_frames: int
     n_rejected: int  # bursts that were thrown away
-    rate_hz: float  # whole frames a second, of late
+    rate_hz: float  # whole frames per second, of late
     note: str | None  # what went wrong last
     watched: WatchedFrame | None  # None: none is decoded
 

@@ -24,14 +24,14 @@ from tikernels import runtime
 #: What lies in the folder.
 LIGHT, POSES, SECOND_POSES = "light", "poses", "second-board"
 BALL, PLANE, TRUTH, OBJECTS = "ball.png", "plane.png", "truth.json", "objects.json"
-#: The two boards: every picture shows them whole, with squares of some 30 and 24 px.
+#: The two boards: every picture shows them whole, with squares of about 30 and 24 px.
 BOARD = Board(kind="chessboard", squares=(10, 7), square_mm=22.0)
 SECOND_BOARD = Board(kind="chessboard", squares=(10, 7), square_mm=18.0)
 #: The ball that `simulate_frame` shows: its radius, and its middle in the camera's frame.
 BALL_RADIUS_MM, BALL_MIDDLE_MM = 85.0, (0.0, 0.0, 880.0)
 # Ten poses, two more than are needed, so that one may be left out; of the second board two.
 _N_POSES, _N_SECOND = 10, 2
-# The camera reads out the middle of its sensor of 640x480 px: that keeps 12 px a cycle, and saves half of the disk.
+# The camera reads out the middle of its sensor of 640x480 px: that keeps 12 px per cycle, and saves half of the disk.
 _CORNER_PX, _SIZE_PX = (80, 60), (480, 360)
 # Each pose stands aside in another direction than the ones before: by the golden angle, which fills a circle evenly.
 _TURN_RAD = np.pi * (3 - np.sqrt(5))

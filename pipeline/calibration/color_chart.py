@@ -45,7 +45,7 @@ _ROUNDS = 10
 _MAX_MISFIT, _SHADOW = 0.12, 0.25
 # A primary's own wavelength that is less sure than this is not determined by the chart, nm.
 _UNSURE = 15.0
-# What is known of a reflectance, at the least.
+# What is known of a reflectance, at least.
 _LEAST_RHO = 0.01
 
 

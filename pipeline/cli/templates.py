@@ -22,7 +22,7 @@ from pipeline.settings import DecodeSettings
 _WIDTH = 118
 _FILL_IN = "FILL IN"
 _UNITS = {"_s": "s", "_db": "dB", "_px": "px"}
-# Plausible values where each rig has its own: of a camera at 20 frames a second before a projector at 60 Hz, whose
+# Plausible values where each rig has its own: of a camera at 20 frames per second before a projector at 60 Hz, whose
 # colour fields are thirds of a cycle.
 _EXAMPLES = {
     "calibration": "calibration.json",

@@ -55,7 +55,7 @@ _KEPT_PX = (768, 1024)
 _INSIDE = 0.95
 # A drift of the camera is alike in most places: a quarter of them may change by less than this part of the median.
 _EVEN = 0.5
-# A surface whose phase changes by less, rad, keeps its brightness: by 0.3 rad, some 2 mm of 900, light that falls with
+# A surface whose phase changes by less, rad, keeps its brightness: by 0.3 rad, about 2 mm of 900, light that falls with
 # the square of the distance changes by half a per cent. Noise makes less.
 _STILL_RAD = 0.3
 # Motion shows where a pixel's standard deviation is at most this many times what most have.

@@ -37,7 +37,7 @@ from tikernels.raw.linearization import Transfer, linear_values
 
 #: Causes of bands.
 BANDS = ("colours in turn and a rolling shutter", "a surface striped along the rows")
-# Parts of a row that are compared: as many as leave each of them some 50 px of a small picture.
+# Parts of a row that are compared: as many as leave each of them about 50 px of a small picture.
 _PARTS = 10
 # Steps are the picture's where they are known in this many of them.
 _MIN_PARTS = 5

@@ -56,7 +56,7 @@ _GREY_ALPHA = "it is grey with transparency, but the phase is in the colours: sa
 #: What is said of a picture that is.
 TRANSPARENT = "it is transparent in parts, which is not used: its colours are taken as they are stored"
 _ANIMATION = "it is an animation: save its frames as PNG files in a folder"
-# Profiles of displays and cameras have up to some 100 kB.
+# Profiles of displays and cameras have up to about 100 kB.
 _MOST_PROFILE = 2**22
 # A gamma of 2.2 is within 0.009 of sRGB's curve, in linear light; what is further off is another curve.
 _ALIKE = 0.015

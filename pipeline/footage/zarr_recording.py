@@ -29,7 +29,7 @@ FRAMES = "frames"
 
 
 def rate_of(text: str) -> Fraction:
-    """Return frames a second, from how a recording writes them.
+    """Return frames per second, from how a recording writes them.
 
     Raises
     ------
@@ -52,7 +52,7 @@ class RecordingTags:
         The rate or the transfer is none that a recording can have.
     """
 
-    rate_hz: Fraction  # frames a second
+    rate_hz: Fraction  # frames per second
     transfer: str | None
     bayer: str | None  # None: RGB
     bits: int

@@ -25,7 +25,7 @@ from pipeline.text import sizes_differ
 from tikernels.errors import ShapeError
 from tikernels.raw.pixel_format import PixelFormat
 
-# Frames in hand at most, waiting and being written: 0.3 s at 200 frames a second, for which a busy disk may stall.
+# Frames in hand at most, waiting and being written: 0.3 s at 200 frames per second, for which a busy disk may stall.
 _MOST_IN_HAND = 64
 # Bytes that frames in hand may take: fewer frames are kept of large ones.
 _IN_HAND_BYTES = 128_000_000
@@ -33,7 +33,7 @@ _IN_HAND_BYTES = 128_000_000
 _PATIENCE_S = 30.0
 # Time that the frame which is just being written may take when a recording is to end.
 _END_S = 10.0
-# Between two looks at what the caller's thread waits for: a tenth of a frame's time at 100 frames a second.
+# Between two looks at what the caller's thread waits for: a tenth of a frame's time at 100 frames per second.
 _POLL_S = 0.001
 
 

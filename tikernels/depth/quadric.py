@@ -300,7 +300,7 @@ def fit_windows(depth: F32, precision: F32, runs: U8, top: int, out: npt.NDArray
     top : int
         The first row.
     out : (3, 4, rows, W) float32
-        What the quadrics of samples 1, 2 and 4 px apart say: see `Fit`.
+        Results of the quadrics of samples 1, 2 and 4 px apart: see `Fit`.
     """
     fit_windows_kernel(depth, precision, runs, top, out)
 

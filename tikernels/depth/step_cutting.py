@@ -1,7 +1,7 @@
 """Distinguish slopes from steps between neighbouring pixels, by their standard deviations and the slopes around.
 
 Two neighbours, one pixel or one diagonal (l = 1 or sqrt 2) apart, are on one surface where the depth changes between
-them by no more than the surface goes on changing beside them, a pixel's own width w and three standard deviations:
+them by no more than the surface continues to change next to them, a pixel's own width w and three standard deviations:
 
     |z_q - z_p| <= max(0, g_p, g_q) l + w l + 3 sqrt(sigma_p^2 + sigma_q^2 + l^2 var(g)),
 
@@ -48,7 +48,7 @@ _STEEPEST = float(np.tan(np.radians(85.0)))
 # Pixels that a plane is fitted to on either side: as many as the phase's smoothing takes, so that two planes on both
 # sides of a step have little in common.
 _REACH = 3
-# Fewer pixels say nothing of a slope.
+# Fewer pixels determine no slope.
 _LEAST_COUNT = 4
 # Neighbours' errors are alike after smoothing: thirteen pixels count as one measurement of a mean (docs/method.md, 7).
 _ALIKE = 13.0
@@ -90,7 +90,7 @@ def slope_beside(
                     if region[j, i] == region[y, x]:
                         away = ti.sqrt(ti.cast(dy * dy + dx * dx, ti.f32))
                         rest = depth[j, i] - middle - row_slope * dy - column_slope * dx
-                        # At first whatever may hang together with the pixel counts, then what its plane explains.
+                        # At first whatever may be connected with the pixel counts, then what its plane explains.
                         bound = _STEEPEST * width[y, x] * away
                         noise = _SURE * ti.sqrt(squared(sigma[j, i]) + squared(width[y, x]))
                         bound = ti.select(turn == 1, noise, bound)
@@ -139,7 +139,7 @@ def goes_on(
     rise = depth[j, i] - depth[y, x]
     way = ti.select(rise > 0.0, 1.0, -1.0)
     noise, doubt, expected, found = squared(sigma[y, x]) + squared(sigma[j, i]), 0.0, 0.0, False
-    # The other side is asked where the one is not enough.
+    # The other side is used where the one is not enough.
     for side in range(2):
         if not found:
             sign = 1 - 2 * side
@@ -161,7 +161,7 @@ def link_pixels_kernel(
     region: I32Array2,  # (H, W) 0: none
     out: U8Array2,  # (H, W) bits
 ):
-    """Link what is near, 32 pixels at once, and ask of each other edge whether the surface goes on."""
+    """Link what is near, 32 pixels at once, and check at each other edge whether the surface continues."""
     height, breadth = depth.shape[0], depth.shape[1]
     for t in range(height * strip_count(breadth, STRIP)):
         y, first, count = strip_at(t, breadth, STRIP)

@@ -35,7 +35,7 @@ class ProjectorGeometry(NamedTuple):
     focal_px: float  # along the axis on which the phase changes
     center_px: float  # on that axis
     distortion: npt.NDArray[np.float64]  # 5 or 14, OpenCV's
-    period_px: float  # projector px a cycle
+    period_px: float  # projector px per cycle
     axis: int  # 0: the phase changes with the column, 1: with the row
 
     def arguments(self) -> tuple[npt.NDArray[np.float32], int, int]:

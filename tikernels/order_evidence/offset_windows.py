@@ -35,7 +35,7 @@ from tikernels.unwrapping.patches import one_thread_is_faster
 
 # Levels of brightness, evenly spaced between these quantiles of the cells'.
 _LEVELS, _FROM_TO = 8, (0.02, 0.98)
-# Pieces of fewer cells than the smallest windows are not asked.
+# Pieces of fewer cells than the smallest windows are not checked.
 _LEAST_CELLS = 9
 
 
@@ -63,7 +63,7 @@ def sum_tables_kernel(
 
 @ti.func
 def window_sum(table: Static, corner: i32, below: i32, beside: i32, group: i32, kind: Static):
-    """Return the sum of the cells between a place of a table, and those so far below and beside it."""
+    """Return the sum of the cells between a place of a table, and those so far below it and to its right."""
     all_of = table[corner + below + beside, group, kind] - table[corner + below, group, kind]
     return all_of - table[corner + beside, group, kind] + table[corner, group, kind]
 

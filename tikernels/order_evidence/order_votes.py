@@ -69,7 +69,7 @@ def vote_orders_kernel(
     before: F32Array2,  # (H, W) rad, unwrapped phase of the frame before; NaN outside its mask
     region_before: I32Array2,  # (H, W)
     change: F32Array2,  # (regions + 1, 3) rad by which the phase of each region before is expected to change, and its
-    # slopes, rad a px, along rows and columns
+    # slopes, rad per px, along rows and columns
     out_votes: I32Array2,  # (5, cells * VOTES_A_CELL)
 ):
     """Ask every fourth pixel both ways what its patch lacks to agree with the frame before."""
@@ -124,7 +124,7 @@ def vote_orders(
         Its regions.
     change : (regions + 1, 3) float32
         By how much the phase of each is expected to change since, rad, and the slopes of that along rows and columns,
-        rad a px, the first pixel at 0.
+        rad per px, the first pixel at 0.
 
     Returns
     -------

@@ -16,9 +16,9 @@ there A_i and B_i are those of the nodes around, whose windows are complete. The
 mean background is ambient light: its modulation is proportional to the projector's light, its background is not, so a
 straight line of one over the other crosses zero where only ambient light is left.
 
-The fit that takes phases from a frame's own intensities and intensities from phases, in turns, is that of Z. Wang and
-B. Han, Advanced iterative algorithm for phase extraction of randomly phase-shifted interferograms, Optics Letters 29,
-2004, doi:10.1364/OL.29.001671; one turn is enough here.
+The fit that takes phases from a frame's own intensities and intensities from phases, alternating, is that of Z. Wang
+and B. Han, Advanced iterative algorithm for phase extraction of randomly phase-shifted interferograms, Optics Letters
+29, 2004, doi:10.1364/OL.29.001671; one turn is enough here.
 """
 
 from enum import IntEnum
@@ -55,7 +55,7 @@ from tikernels.strips import SPREAD, STRIP, color_of, lanes_of_colors, set_color
 _UPPER = tuple((a, b) for a in range(TERMS) for b in range(a, TERMS))
 _CORNERS, _HALF = len(_UPPER), len(_UPPER) // 2
 #: The template is fitted to every fourth sample of each row: a fringe of 12 px that runs along the rows shows twelve
-# phases, and nine numbers a channel need most of them.
+# phases, and nine numbers per channel need most of them.
 EVERY = 4
 #: What is known of the template beforehand weighs as much as this many samples: nothing where there is a surface.
 PRIOR_SAMPLES = 30
@@ -114,7 +114,7 @@ class ChannelModel:
         self.gains = gains
         height, columns = int(gains.samples.shape[0]), int(gains.samples.shape[1])
         blocks, grid = gains.window.blocks, gains.window.grid
-        #: (H, Wb, 3) the samples times their gains, levels; kept beside them, so that a frame may be fitted twice.
+        #: (H, Wb, 3) the samples times their gains, levels; kept next to them, so that a frame may be fitted twice.
         self.balanced = runtime.empty((height, columns, 3), np.float32)
         #: (H, Wb) rad, the samples' bare phase; NO_PHASE where there is none.
         self.phases = runtime.empty((height, columns), np.float32)
@@ -133,7 +133,7 @@ class ChannelModel:
         self.nodes = runtime.empty((*grid, _Shared.WEIGHT), np.float32)
         #: (3, terms) t_i: 1, cosines, sines.
         self.template = np.zeros((3, TERMS), np.float32)
-        #: How sharp the fringe is around every node beside the template.
+        #: Sharpness of the fringe around every node, relative to the template.
         self.sharpness = FringeSharpness(blocks, grid, (gains.height / gains.period_px, gains.width / gains.period_px))
         #: How far the template's fundamentals are from those that crosstalk and lateral colour make, as a fraction.
         self.mismatch = np.nan
@@ -351,7 +351,7 @@ def sum_template_kernel(
         right, asked = ti.Matrix.zero(f32, TERMS, 3), 0.0
         background_weights = vec3(phase_weights[2, 0], phase_weights[2, 1], phase_weights[2, 2])
         for number in range(first, first + count):
-            # Another one from row to row, so that all columns are asked.
+            # Another one from row to row, so that all columns are sampled.
             j = ti.min(number * EVERY + y % EVERY, samples.shape[1] - 1)
             if has_phase(phases[y, j]):
                 ambient = ambient_at(smooth, spacing_px, share, y, j * spacing_px)

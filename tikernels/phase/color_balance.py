@@ -2,7 +2,7 @@
 
 The camera's channel i sees r_i times what a neutral surface would send back, r_i changing slowly. Over a window that
 averages the fringes out (section 3.1 of Je, Lee and Park, Color-phase analysis for sinusoidal structured light in rapid
-range imaging, 2004), with C_i the channel and P_i what a neutral surface would make of it,
+range imaging, 2004), with C_i the channel and P_i that of a neutral surface,
 
     r_i = sum C_i / sum P_i,    gain_i = mean(r) / r_i.
 
@@ -65,7 +65,7 @@ class Gains:
     height, width : int
         The image's, stripes along the rows, px.
     period_px : float
-        Camera px a cycle.
+        Camera px per cycle.
     """
 
     def __init__(self, height: int, width: int, period_px: float) -> None:
@@ -99,7 +99,7 @@ class Gains:
         crosstalk : Crosstalk
             The gains belong to a neutral surface's channels, before it is undone.
         levels : FrameLevels
-            Darker pixels, and those with less modulation, say nothing of the colour.
+            Darker pixels, and those with less modulation, show nothing of the colour.
 
         Raises
         ------
@@ -360,7 +360,7 @@ def balance_color(
     image : (H, W, 3) float32
         Linear light at the camera, stripes running along the rows.
     period_px : float
-        Camera px a cycle; sizes the window.
+        Camera px per cycle; sizes the window.
     mask : (H, W) bool or uint8, optional
         Pixels that count; None: all.
     crosstalk_matrix : (3, 3), optional

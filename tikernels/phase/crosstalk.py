@@ -83,7 +83,7 @@ class Crosstalk:
     weights: npt.NDArray[np.float32]
     """(3, 3): takes the balanced channels to b cos(phi), b sin(phi) and the background a; see `phase_weights`."""
     waves: npt.NDArray[np.float32]
-    """(3, 3): what a, b cos(phi) and b sin(phi) make of the channels; see `channel_waves`."""
+    """(3, 3): the channels' weights of a, b cos(phi) and b sin(phi); see `channel_waves`."""
     inverse_waves: npt.NDArray[np.float32]
     """(3, 3): undoes it."""
     lag: npt.NDArray[np.float64] | None

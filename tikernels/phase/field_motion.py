@@ -6,9 +6,9 @@ exposure, in frames (`color_fields.py`). A fit of one phase to that is off by
 
     -v / 3 sum_j tau_j cos(2 phi + 2 d_j),    d_j the channel's delay,
 
-twice a cycle. Where it is not known when an exposure starts, that term in the first fit's phase distinguishes the
+twice per cycle. Where it is not known when an exposure starts, that term in the first fit's phase distinguishes the
 times: each hypothesis of `ColorFields` predicts another one, and its likelihood is that of what it leaves. The times
-that are used are the mean over all hypotheses, and their spread is in doubt.
+that are used are the mean over all hypotheses, and their spread is the uncertainty.
 
 The image is given the light that a surface at rest would send back, and everything after it sees a frame of one moment:
 
@@ -249,8 +249,8 @@ def _log_likelihood(
         return np.zeros(len(times))
     size = float(np.median(np.abs(deviation[sure]))) / MEDIAN_SIZE
     weight = sure / (1 + (deviation / max(_HALF_SIGMAS * size, TINY)) ** 2)
-    # What motion makes of these two waves; and the waves themselves, the same all over the frame, as a template leaves
-    # them that has the mean motion in it: they are fitted to what each hypothesis leaves.
+    # The effect of motion on these two waves; and the waves themselves, the same all over the frame, as a template
+    # leaves them that has the mean motion in it: they are fitted to what each hypothesis leaves.
     both = np.stack([np.cos(2 * phase), np.sin(2 * phase)])
     waves, delays, shape = np.nan_to_num(change) * both, channel_delays(), times.shape[1:]
     factors = np.stack([-(times @ np.cos(2 * delays)) / 3, times @ np.sin(2 * delays) / 3])
@@ -343,7 +343,7 @@ def hold_still(
     image : (H, W, 3) uint8, uint16 or float32
         Linear light, levels, stripes along the rows.
     fit : FittedPhase
-        What `fit_phase` found, of this image or of what an earlier turn made of it.
+        Of `fit_phase`, of this image or of the result of an earlier pass.
     motion : FieldMotion
         See `measure_motion`.
     model : ChannelModel

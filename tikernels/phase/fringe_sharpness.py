@@ -17,8 +17,8 @@ By chance, and by a code that changes the contrast from cycle to cycle, x differ
 does not. Tiles that differ by r, RMS, keep 1 - (d / r)^2 of it, and nothing below d (W. James and C. Stein, Estimation
 with quadratic loss, Fourth Berkeley Symposium 1, 1961).
 
-What equalises the arctangent is the bend by the second harmonic beside the first, exp(3 x) times the frame's. That the
-mean over the frame stays as it was measured fixes the mean of x.
+What equalises the arctangent is the bend by the second harmonic relative to the first, exp(3 x) times the frame's. That
+the mean over the frame stays as it was measured fixes the mean of x.
 """
 
 from enum import IntEnum
@@ -45,12 +45,12 @@ TILES = 6
 _CYCLES, _AROUND = 2, 1.0
 # Standard error of the model, as a fraction of a sample's light: it keeps x at zero where there are no harmonics.
 _PRIOR = 0.03
-# By how much further a step goes than the samples say.
+# By how much further a step goes than the samples show.
 _STEP = 2.0
 
 
 class _Sum(IntEnum):
-    """Columns of what a block's samples say."""
+    """Columns of the evidence of a block's samples."""
 
     PRODUCT = 0  # the two sums of x
     SQUARE = 1
@@ -159,7 +159,7 @@ class FringeSharpness:
     def refine(
         self, samples: F32, phases: F32, correction: F32, template: F32, nodes: F32, rows: int, doubt: float
     ) -> bool:
-        """Go a step on with what the samples say; return whether the rest of the model wants to be fitted again.
+        """Take a step by the samples' evidence; return whether the rest of the model must be fitted again.
 
         Parameters
         ----------

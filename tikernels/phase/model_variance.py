@@ -5,7 +5,7 @@
 The mean of the misfit is one where the model is right, and a model that is wrong across the phase is as wrong along it:
 the usual scaling of a fit's variance by its chi square, place by place. Over a few pixels `misfit` is that mean less
 one, where chance does not make it: at an edge of paint, a highlight, a spot of another colour. Over the balance window
-`error` is the mean of (misfit - 1) / precision, as of a surface whose colour acts otherwise than the model says.
+`error` is the mean of (misfit - 1) / precision, as of a surface whose colour acts otherwise than in the model.
 """
 
 from functools import cache
@@ -118,7 +118,7 @@ def model_variance(precision: F32, misfit: F32, mask: U8, period_px: float, out:
     mask : (H, W) uint8
         Valid pixels.
     period_px : float
-        Camera px a cycle.
+        Camera px per cycle.
     out : (H, W) float32, optional
         Where the result goes.
 

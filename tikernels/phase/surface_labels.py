@@ -2,7 +2,7 @@
 
 At some phases two surfaces look alike: misfits (`surface_misfits.py`) are averaged over a few pixels, which keeps edges
 sharp, and over a good part of a cycle. Pixels show what the places of the lattice around them do; they themselves are
-asked only where these differ.
+compared only where these differ.
 """
 
 from typing import NamedTuple
@@ -40,14 +40,14 @@ _Mask = npt.NDArray[np.bool_]
 _BESIDE = 4
 _wide_lanes = ti.types.vector(AT_ONCE + 2 * _BESIDE, ti.f32)
 cell_lanes = ti.types.matrix(CELL_ROWS, AT_ONCE, ti.f32)
-# Gaussians that misfits are averaged over: px across the stripes, and along them where pixels are asked; cycles, and
+# Gaussians that misfits are averaged over: px across the stripes, and along them where pixels are compared; cycles, and
 # how much that one counts.
 _NEAR_PX, _ALONG_PX = 1.6, 2.0
 _AROUND_CYCLES, _AROUND = 0.4, 0.5
 _ALONE = np.ones(1)
 # A place that fits no surface counts no more than this against its neighbourhood.
 _MOST_AROUND = 4.0
-# So far from an edge between two places pixels are asked, px.
+# So far from an edge between two places pixels are compared, px.
 _EDGE_PX = 4
 # By how much better than any other a surface must explain its places, in variances.
 _BETTER = 0.3
@@ -89,7 +89,7 @@ def relabel(
     lattice : Lattice
         The places.
     misfits : (N, h, w) float32
-        Squares of residuals, at most `MOST_MISFIT`; -1 where a place says nothing.
+        Squares of residuals, at most `MOST_MISFIT`; -1 where a place has no evidence.
     before : (h, w) uint8
         The surfaces that places are taken to show so far.
     founding : (N,) bool
@@ -224,7 +224,7 @@ def asks(cells: I32Array2, y: i32, strip: i32, surface: i32) -> u1:
 
 @ti.func
 def row_misfits(misfits: F32Array3, cells: I32Array2, surface: i32, y: i32, strip: i32):
-    """Load a surface's misfits of sixteen pixels and of those beside them; SAYS_NOTHING where it is not asked."""
+    """Load a surface's misfits of sixteen pixels and their neighbours; SAYS_NOTHING where it is not compared."""
     first, last = strip * AT_ONCE, misfits.shape[2] - 1
     before, after = ti.max(strip - 1, 0), ti.min(strip + 1, cells.shape[1] - 1)
     left = _wide_lanes(SAYS_NOTHING)
@@ -271,12 +271,12 @@ def near_misfits(
 def choose_surfaces_kernel(
     misfits: F32Array3,  # (N, H, W) standard deviations of pixels; see `surface_residuals_kernel`
     around: F32Array3,  # (N, h, w) their squares' averages around places of the lattice
-    cells: I32Array2,  # (H / 8 up, W / 16 up) a bit for each surface that is asked
+    cells: I32Array2,  # (H / 8 up, W / 16 up) a bit for each surface that is compared
     near: F32Array1,  # weights of pixels so far across the stripes
     along: F32Array1,  # and along them: _BESIDE + 1
     rows: i32,  # px between places
     columns: i32,
-    labels: U8Array2,  # (H, W) changed where surfaces are asked, unless NO_SURFACE
+    labels: U8Array2,  # (H, W) changed where surfaces are compared, unless NO_SURFACE
 ):
     height, width, strips = labels.shape[0], labels.shape[1], cells.shape[1]
     for t in range(cells.shape[0] * strips):

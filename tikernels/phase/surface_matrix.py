@@ -7,10 +7,10 @@ the reflectance there:
 
 rho_k the reflectance at three primaries, its logarithm linear between them. With the primaries alone (L_ijk = 1 for
 j = k) that is M diag(rho), with the filters alone diag(rho) M; real ones lie between. rho follows from the surface's
-mean colour, three numbers from three, and K is a prior for what its pixels say, which is wrong by more the larger the
-range of log rho is. The light is the same on all surfaces, which are therefore fitted together.
-Behind lasers K = M diag(rho) to 0.1 %; behind lamps and filters that overlap, up to a third of log rho is the filters'.
-Given K, each pixel has two unknowns, brightness and phase, and one number is left over,
+mean colour, three numbers from three, and K is a prior for what its pixels show, which is wrong by more the larger the
+range of log rho is. The light is the same on all surfaces, which are therefore fitted together. Behind lasers K = M
+diag(rho) to 0.1 %; behind lamps and filters that overlap, up to a third of log rho is the filters'. Given K, each pixel
+has two unknowns, brightness and phase, and one number is left over,
 
     z = c n,    n across K p and K p',
 
@@ -48,7 +48,7 @@ def band_weights(wavelengths_nm: npt.ArrayLike) -> _Array:
     Parameters
     ----------
     wavelengths_nm : (3, 3)
-        Where filter i and primary j meet; those of i = j, falling, are where the three reflectances stand.
+        Where filter i and primary j meet; those of i = j, falling, are those of the three reflectances.
     """
     seen = np.asarray(wavelengths_nm, np.float64)
     knots = np.diag(seen)[::-1]
@@ -74,7 +74,7 @@ _MISFIT, _BRIGHTNESS = 0.002, 0.006
 _SCATTERED, _LOST = 0.3, np.array([1, 1 / 4, 1 / 16])
 #: Twice the logarithm of a Bayes factor that is strong evidence (Kass and Raftery, Bayes factors, 1995).
 PROOF = 6
-# By how much an entry grows at the most, as a fraction of its row.
+# By how much an entry grows at most, as a fraction of its row.
 _MOST = 0.5
 # The brightness' harmonics count where its logarithm is this near to the median, and there are so many places.
 _USUAL_BRIGHTNESS, _LEAST_BRIGHTNESS = 0.5, 30
@@ -263,7 +263,7 @@ def fit_matrices(
     off, off_shared = expected - own, usual - shared
     cost = found.cost + float((off * _times(of_paint, off)).sum() + off_shared @ prior_shared @ off_shared)
     prior = of_paint
-    if before is not None:  # what a first step mends looks like light that scatters
+    if before is not None:  # what a first step corrects looks like light that scatters
         proof = _evidence(found, of_skin, off) - _evidence(found, of_paint, off) - PROOF
         prior = np.where((proof > 0)[:, None, None], of_skin, of_paint)
         cost -= float(np.maximum(proof, 0).sum())

@@ -38,7 +38,7 @@ REACH_PX = 2
 #: Places that a thread looks at together, as the vector units of a CPU do; and rows of a cell of so many columns.
 AT_ONCE, CELL_ROWS = 16, 8
 place_lanes = ti.types.vector(AT_ONCE, ti.f32)
-#: The light of a place that says nothing, and what is left of it.
+#: The light of a place without evidence, and what is left of it.
 SAYS_NOTHING = -1e9
 #: A place that fits no surface counts no more than this against one.
 MOST_MISFIT = 16.0
@@ -63,12 +63,12 @@ class Lattice(NamedTuple):
     light: npt.NDArray[np.float32]
     """(h, w, 3) levels, mean over a few pixels along the stripes; see `says`."""
     contrast: npt.NDArray[np.float32]
-    """(h, w) by which blur and the mean multiply the fringe's first harmonic, beside the usual."""
+    """(h, w) by which blur and the mean multiply the fringe's first harmonic, relative to the usual."""
     rows: int
     columns: int
     """px between the places."""
     period_px: float
-    """Camera px a cycle."""
+    """Camera px per cycle."""
 
     @property
     def says(self) -> _Mask:
@@ -147,7 +147,7 @@ def average_light_kernel(
     rows: i32,  # px between places
     columns: i32,
     reach: i32,  # px of a mean on either side
-    cells: I32Array2,  # (h / 8 up, w / 16 up) 0: nobody asks
+    cells: I32Array2,  # (h / 8 up, w / 16 up) 0: not needed
     out: F32Array3,  # (h, w, 3) levels; SAYS_NOTHING
     out_contrast: F32Array2,  # (h, w) see `Lattice`
 ):
@@ -204,9 +204,9 @@ def average_light(
     crosstalk : Crosstalk
         What they were measured with.
     blur : (Hg, Wg) float32
-        What the camera's blur leaves of the contrast around every node of the gains, beside the usual.
+        What the camera's blur leaves of the contrast around every node of the gains, relative to the usual.
     unlit : (H, W) bool
-        Which pixels show no fringe: they say nothing.
+        Which pixels show no fringe: they have no evidence.
     levels : FrameLevels
         Neither do clipped ones.
     rows, columns : int
@@ -214,7 +214,7 @@ def average_light(
     reach_px : int
         Pixels of a mean on either side.
     cells : int32, optional
-        Which cells of 8 x 16 places are asked, others are undefined; None: all.
+        Which cells of 8 x 16 places are compared, others are undefined; None: all.
     """
     image = checks.read_array("image", image, (gains.height, gains.width, 3), *LEVEL_TYPES)
     size = (-(-gains.height // rows), -(-gains.width // columns))
@@ -242,8 +242,8 @@ def place_around(x: Static, y: Static):
 @kernel(whole_vectors=True)
 def surface_residuals_kernel(
     light: F32Array3,  # (h, w, 3) levels; see `average_light_kernel`
-    contrast: F32Array2,  # (h, w) of the fringe, beside the light's
-    cells: I32Array2,  # (h / 8 up, w / 16 up) a bit for each surface that is asked
+    contrast: F32Array2,  # (h, w) of the fringe, relative to the light's
+    cells: I32Array2,  # (h / 8 up, w / 16 up) a bit for each surface that is compared
     unmixing: F32Array3,  # (N, 3, 3) see `NeutralLight`
     ambient: F32Array2,  # (N, 3) levels
     rho: F32Array2,  # (2, places)
@@ -251,7 +251,7 @@ def surface_residuals_kernel(
     noise_gain: f32,  # levels, of a mean
     even: f32,  # standard deviation of a place's contrast, as a fraction, where blur is the usual
     scatter: f32,  # by how much all of that is more
-    out: F32Array3,  # (N, h, w) standard deviations; SAYS_NOTHING; undefined where a surface is not asked
+    out: F32Array3,  # (N, h, w) standard deviations; SAYS_NOTHING; undefined where a surface is not compared
     by_contrast: F32Array3,  # likewise: how that changes with the contrast, per 1; else (1, 1, 1)
 ):
     height, width = out.shape[1], out.shape[2]
@@ -318,7 +318,7 @@ def surface_residuals(lattice: Lattice, neutral: NeutralLight, levels: FrameLeve
     Returns
     -------
     (N, h, w) float32
-        Standard deviations of independent noise; 0 where a place says nothing.
+        Standard deviations of independent noise; 0 where a place has no evidence.
     """
     size, count = lattice.contrast.shape, len(neutral.unmixing)
     out = np.empty((count, *size), np.float32)

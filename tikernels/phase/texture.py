@@ -76,7 +76,7 @@ def measure_texture(light: FrameLight, phase: F32, mask: Mask, period_px: float,
     mask : (H, W) bool or uint8
         Valid pixels.
     period_px : float
-        Camera px a cycle.
+        Camera px per cycle.
     out : (H, W, 3) uint8, optional
         Where the result goes.
 

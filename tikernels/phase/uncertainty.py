@@ -10,10 +10,10 @@ same way as brightness or phase does not show. Smoothing leaves all of that.
 Whatever else differs from row to row, such as ripple that balance and crosstalk leave, shows in the scatter: third
 differences over four rows a third of a cycle apart, which leave a surface's bend out, in units of what the law of
 propagation expects of them (JCGM 100:2008, 5.1.2, doi:10.59161/JCGM100-2008E). At a third of a cycle, ripple of once or
-twice a cycle counts sqrt(27 / 20) as much as noise, and that of three times a cycle not at all; at a quarter, that of
-twice a cycle counts 1.8 times. Their median shows it, where noise is most of what is expected: a model is wrong in the
-same way over many rows, which then scatter less than they are off. Near an edge of the mask part of the balance window
-is empty.
+twice per cycle counts sqrt(27 / 20) as much as noise, and that of three times per cycle not at all; at a quarter, that
+of twice per cycle counts 1.8 times. Their median shows it, where noise is most of what is expected: a model is wrong in
+the same way over many rows, which then scatter less than they are off. Near an edge of the mask part of the balance
+window is empty.
 """
 
 from functools import cache
@@ -242,7 +242,7 @@ def estimate_phase_sigma(
     unwrapped : (H, W) float32
         rad; NaN off the mask.
     precision : (H, W) float32
-        1 / rad^2, what the fit says of the phase before smoothing.
+        1 / rad^2, the fit's, of the phase before smoothing.
     smoothed : (H, W) float32
         rad^2, the variance that noise leaves after smoothing; see `Smoother`.
     misfit : (H, W) float32, optional
@@ -254,7 +254,7 @@ def estimate_phase_sigma(
     pairs : int
         Neighbours on either side that the smoothing fitted.
     period_px : float
-        Camera px a cycle.
+        Camera px per cycle.
 
     Returns
     -------

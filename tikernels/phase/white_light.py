@@ -1,8 +1,8 @@
 """A pixel's light under the projector's white, computed from its light under the fringe.
 
-The channels' model (`channel_model.py`) says C_i = s A_i t_i(phi) + B_i, or T of that where a surface has a crosstalk
-of its own (`surfaces.py`). Around the smoothed phase the model of a pixel is linear in its brightness s, a step d of
-the phase and a deviation k of its contrast, and three channels determine three numbers:
+The channels' model (`channel_model.py`) is C_i = s A_i t_i(phi) + B_i, or T of that where a surface has a crosstalk of
+its own (`surfaces.py`). Around the smoothed phase the model of a pixel is linear in its brightness s, a step d of the
+phase and a deviation k of its contrast, and three channels determine three numbers:
 
     c = C - B = s (M + d M' + k W),    M = A t, W = A (t - 1),    s = c.(W x M') / M.(W x M').
 
@@ -233,7 +233,7 @@ def light_by_white(light: FrameLight, phase: F32, mask: Mask, period_px: float) 
     mask : (H, W) bool or uint8
         Valid pixels.
     period_px : float
-        Camera px a cycle.
+        Camera px per cycle.
 
     Returns
     -------
@@ -242,7 +242,7 @@ def light_by_white(light: FrameLight, phase: F32, mask: Mask, period_px: float) 
     (H, W) float32
         The sum of the channels.
     (H, W) float32
-        The logarithm of the fringe's contrast beside the template's.
+        The logarithm of the fringe's contrast relative to the template's.
 
     Raises
     ------

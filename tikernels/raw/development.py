@@ -73,7 +73,7 @@ def develop(
     Raises
     ------
     ShapeError
-        A plane has another shape or type than the format says, or `out` cannot be written.
+        A plane has another shape or type than the format specifies, or `out` cannot be written.
     """
     n_planes = {"rgb": (1, 3), "bayer": (1,), "yuv": (3,)}[format.layout]
     if len(planes) not in n_planes:

@@ -33,7 +33,7 @@ LUMA_WEIGHTS: dict[Matrix, tuple[float, float]] = {
     "bt709": (0.2126, 0.0722),
     "bt2020": (0.2627, 0.0593),
 }
-#: Bits that stand for float32 levels from 0 to 1.
+#: Bits that denote float32 levels from 0 to 1.
 FLOAT_BITS = 32
 
 

@@ -32,7 +32,7 @@ def light_at(light: F32Array3, pixel: vec2, optics: F32Array1) -> vec3:
 def interpolation_weights(fraction: f32) -> vec8:
     """Weights of eight Lagrange taps, -3..4 around the sample.
 
-    Exact on polynomials of degree 7: on a sinusoid of 17 px a cycle the error is 3e-7, where cubic convolution leaves
+    Exact on polynomials of degree 7: on a sinusoid of 17 px per cycle the error is 3e-7, where cubic convolution leaves
     0.012 rad of phase.
     """
     weights = vec8(1.0)

@@ -12,14 +12,15 @@ from tikernels.phase.smoothing import MAX_DEPARTURE
 
 # Inside a patch neighbours depart by less than this (rad) and differ in modulation by less than this factor, along and
 # across the stripes. A step that hides behind whole cycles seldom does both, and only patches are never cut again.
-# Across, slopes change the phase more, and a response that is not linear lets the modulation swing three times a cycle.
+# Across, slopes change the phase more, and a response that is not linear lets the modulation swing three times per
+# cycle.
 _SURE_ALONG, _ALIKE_ALONG = 0.25, 0.75
 _SURE_ACROSS, _ALIKE_ACROSS = 0.5, 0.5
 
 
 @ti.func
 def frame_rates(rates: F32Array2):
-    """Return the usual changes along and across the stripes, rad a px, and the mean quality."""
+    """Return the usual changes along and across the stripes, rad per px, and the mean quality."""
     last = rates.shape[0] - 1
     return rates[last, RATE_ALONG], rates[last, RATE_ACROSS], rates[last, MEAN_QUALITY]
 

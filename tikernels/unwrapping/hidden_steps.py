@@ -26,7 +26,7 @@ from tikernels.unwrapping.tables import (
 #: that crosses the border shows two or three.
 MIN_SEAM_PX = 6
 # Where brightness changes by more than this factor over so many px across a cell's border (an edge is as wide as blur),
-# and by more than over as many beside them, as shading does not, the surface ends there, and hides no step.
+# and by more than over as many next to them, as shading does not, the surface ends there, and hides no step.
 _EDGE, _EDGE_PX = 0.9, 5
 
 

@@ -79,7 +79,7 @@ def measure_slopes(phase: F32, labels: I32, cells: I32, draft_bits: int, count: 
     Returns
     -------
     (2, P) float64
-        Slopes along the rows and down the columns, rad a px.
+        Slopes along the rows and down the columns, rad per px.
     """
     sums = runtime.empty((count, _SUMS), np.float32)
     sum_patches_kernel(phase, labels, cells, draft_bits, sums)

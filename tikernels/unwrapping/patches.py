@@ -18,7 +18,7 @@ from tikernels.unwrapping.surface_borders import Borders
 from tikernels.unwrapping.table_columns import columns_at, first_columns, put_columns
 from tikernels.unwrapping.tables import CONTACT_BITS, Cell, Contact, Patch, Region, cells_of, numbers_of
 
-#: Regions smaller than a cell are noise or slivers behind a step, whose order says nothing.
+#: Regions smaller than a cell are noise or slivers behind a step, whose order means nothing.
 MIN_REGION_PX = 128
 # Below this many patches or contacts one CPU thread is done before others have woken up ten times a round.
 _SERIAL = 12000
@@ -200,7 +200,7 @@ class Patches:
         rays : (H, W, 2) float32
             x and y of every camera pixel's ray at unit depth.
         projector : ProjectorGeometry
-            Where the projector stands.
+            The projector's pose.
         depth_mm : float
             Where the object is expected.
 

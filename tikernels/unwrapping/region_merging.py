@@ -78,7 +78,7 @@ def hand_votes_over(contacts: I32Array2, e: i32, table: I32Array2):
 
 @ti.func
 def take_votes(contacts: I32Array2, e: i32, table: I32Array2) -> i32:
-    """Return a contact's votes, with those that were handed over to it."""
+    """Return a contact's votes, with those that were passed to it."""
     votes = contacts[Contact.VOTES, e]
     if votes > 0:
         place = table_place(contacts, e, table.shape[1])

@@ -1,4 +1,4 @@
-"""Part regions that hang together by the smaller part of their common border.
+"""Part regions that are connected by the smaller part of their common border.
 
 Two surfaces may touch where the step between them is a whole cycle: there the phase is continuous, and growing along
 its best contacts joins them to one region. The rest of their border shows that they are two. So patches are first
@@ -25,9 +25,9 @@ from tikernels.unwrapping.tables import add_alone
 from tikernels.unwrapping.union_find import part_of, rounds_at_once, settled
 
 # Parts that step against each other over more pixels than this do not grow together; patches of fewer pixels than the
-# second are slivers beside a step, whose phase is nobody's, and join whom they touch.
+# second are slivers next to a step, whose phase belongs to neither side, and join what they touch.
 _MAX_STEPPING, _MIN_PATCH_PX = 2.5, 60
-# A contact's votes count e-fold less where the patches' slopes differ by this (rad a px): what touches where the step
+# A contact's votes count e-fold less where the patches' slopes differ by this (rad per px): what touches where the step
 # is a whole cycle seldom has the same slopes, and so both surfaces are whole before they meet.
 _USUAL_BEND = 0.06
 # The most support that a contact has, and the least difference between two that counts; logarithms.
@@ -154,7 +154,7 @@ def grow_parts(
     stepping = runtime.to_device(ends), runtime.to_device(px)
     parts = runtime.to_device(pixels.copy()), runtime.to_device(lists)
     parents, following = runtime.to_device(np.arange(count, dtype=np.int32)), runtime.to_device(np.zeros(1, np.int32))
-    calls = -(-_ROUNDS_A_CONTACT * contacts.shape[1] // rounds_at_once())  # at the least
+    calls = -(-_ROUNDS_A_CONTACT * contacts.shape[1] // rounds_at_once())  # at least
     while runtime.to_host(following)[0] < contacts.shape[1]:  # synchronises
         for _ in range(calls):
             grow_parts_kernel(rounds_at_once(), best, *stepping, *parts, parents, following)
@@ -188,7 +188,7 @@ def part_regions(
     borders : Borders
         What their borders show.
     slopes : (2, P) float
-        Of the patches' phase along and across the stripes, rad a px.
+        Of the patches' phase along and across the stripes, rad per px.
 
     Returns
     -------
@@ -233,7 +233,7 @@ def _join_parts(
 
     Returns (P,) each one's whole, and of each whole the one that it goes on with most.
     """
-    # Parts are few beside patches, and have numbers of their own.
+    # Parts are few compared with patches, and have numbers of their own.
     standing = np.flatnonzero(parts == np.arange(len(parts)))
     number, count = np.empty(len(parts), np.int64), len(standing)
     number[standing] = np.arange(count)

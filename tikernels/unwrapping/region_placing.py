@@ -8,7 +8,7 @@ from tikernels.unwrapping.tables import CELL_HEIGHT, CELL_WIDTH, MOST, ORDER_MAS
 
 # A reliable patch fills half a cell.
 _RELIABLE_PX = CELL_WIDTH * CELL_HEIGHT // 2
-# Reliable patches come before all others, for images up to some 30,000 px a side.
+# Reliable patches come before all others, for images up to about 30,000 px per side.
 _RELIABLE_SCORE = 2**29
 # What is lacking is summed in 64ths of a cycle: sums of integers are the same in any order.
 _UNITS = 64.0

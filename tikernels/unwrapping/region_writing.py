@@ -1,4 +1,4 @@
-"""Write the unwrapped phase, the mask and the regions; leave out what contradicts itself beside a step.
+"""Write the unwrapped phase, the mask and the regions; leave out what contradicts itself next to a step.
 
 The last pixel before a step is left out where the step has a pixel that belongs to neither side, or where only the
 orders show it: at the rim of a round object it can pass for the other surface. So are cells that hide a step.
@@ -74,7 +74,7 @@ def finish_patches_kernel(
     numbers: I32Array1,  # number of the region of each root; 0: too small
     out_final: I32Array2,  # (3, cells << bits) see `Final`
 ):
-    """Collect what is needed to write the result, and find the cells that have steps or lie beside one that has."""
+    """Collect what is needed to write the result, and find the cells that have steps or are next to one that has."""
     ti.loop_config(serialize=serial)
     for cell in range(cell_total):
         for k in range(cells[Cell.PATCHES, cell + 1] - cells[Cell.PATCHES, cell]):
@@ -149,7 +149,7 @@ def leave_out_steps(
     stop: i32,
     region: Static,
 ):
-    """Take pixels of a row that lie in one cell out of their regions: all of them, or those beside a step."""
+    """Take pixels of a row that lie in one cell out of their regions: all of them, or those next to a step."""
     if steps == HIDES_STEP:
         for k in range(start, stop):
             region[k] = 0
@@ -245,7 +245,7 @@ def _write_unwrapped_kernel(wide: bool) -> Any:
 def write_unwrapped(
     phase: F32, rates: F32, labels: I32, final: I32, out_unwrapped: F32, out_mask: U8, out_region: I32
 ) -> None:
-    """Write every pixel's phase with its order, unless it lies outside the regions or beside a step.
+    """Write every pixel's phase with its order, unless it is outside the regions or next to a step.
 
     Parameters
     ----------

@@ -180,7 +180,7 @@ def grow_rims_kernel(
     rates: F32Array2,  # see `frame_rates`
     unwrapped: F32Array2,  # (H, W) rad
     mask: U8Array2,  # (H, W)
-    region: I32Array2,  # (H, W) from 1; 0: none; less while a turn lasts: of a pixel that is to be added
+    region: I32Array2,  # (H, W) from 1; 0: none; less during a pass: of a pixel that is to be added
     open_cells: I32Array1,  # (cells,) scratch: how many pixels belonged to no surface
     first: i32,  # turns that have been taken
     turns: Static,  # to take
@@ -196,7 +196,7 @@ def grow_rims_kernel(
 
 
 def grow_rims(phase: F32, precision: F32, misfit: F32, brightness: F32, rates: F32, out: tuple[F32, U8, I32]) -> None:
-    """Add pixels beside surfaces' rims that go on as these do.
+    """Add pixels next to surfaces' rims that continue them.
 
     Parameters
     ----------

@@ -32,7 +32,7 @@ from tikernels.unwrapping.tables import (
     patch_number,
 )
 
-# The phase is compared with that this many pixels away; slopes are taken over this many. Steeper ones (rad a px,
+# The phase is compared with that this many pixels away; slopes are taken over this many. Steeper ones (rad per px,
 # relative to the usual change) are no slopes, and count as none.
 _REACH, _SLOPE_PX, _MAX_SLOPE = 4, 2, 0.6
 # A surface goes on where the phase departs by less than the first, and steps where it departs by more than the second
@@ -85,7 +85,7 @@ class CellSamples(NamedTuple):
 
 @ti.func
 def slope_beyond(difference: f32, rate: f32) -> f32:
-    """Return a slope, rad a px, beyond the usual change; 0 where it is too steep to be one."""
+    """Return a slope, rad per px, beyond the usual change; 0 where it is too steep to be one."""
     slope = without_cycles(difference - _SLOPE_PX * rate) / _SLOPE_PX
     return ti.select(ti.abs(slope) > _MAX_SLOPE, 0.0, slope)
 
@@ -155,7 +155,7 @@ def border_at(
 ):
     """Return the labels on both sides of a border that begins after a pixel, its pixels, and whether it steps.
 
-    Negative labels: there is none, or it says nothing. Then the whole cycles to add there to count from here.
+    Negative labels: there is none, or it shows nothing. Then the whole cycles to add there to count from here.
     """
     dy, dx = ti.static((down, 1 - down))
     here, there, px, shift = -1, -1, 0.0, 0
@@ -282,7 +282,7 @@ def measure_borders(
     patches: I32,
     departures: npt.NDArray[np.float32],
 ) -> Borders:
-    """Measure over how many pixels the surface goes on from each patch to those beside it, and over how many it steps.
+    """Measure over how many pixels the surface continues from each patch to the next, and over how many it steps.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Tables of unwrapping, row by row: of pixels, cells, patches, contacts and regions.
 
 A *cell* is a rectangle of 8 x 16 pixels. A *patch* is what surely belongs together of a cell's pixels, with orders that
-count from its own zero. A *contact* is where two patches touch: it says by how much the zeros of their orders differ,
+count from its own zero. A *contact* is where two patches touch: it shows by how much the zeros of their orders differ,
 and how well that is supported. Patches that contacts have joined are a *region*, of which one patch is the *root*. A
 *shift* is the whole cycles to add to one patch's orders to make them count from another one's zero; a *step* is one of
 the surface, across which nothing joins.
@@ -110,7 +110,7 @@ class Seam(IntEnum):
 class Match(IntEnum):
     """Rows of the table in which contacts that say the same find each other; see `table_place`."""
 
-    NAME = 0  # the smallest name of those that ask for this place
+    NAME = 0  # the smallest name of those that need this place
     CONTACT = 1  # whose name it is
     VOTES = 2  # of the others that say the same
 
