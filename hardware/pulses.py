@@ -27,7 +27,7 @@ class PulseTrain:
 
 @dataclass(frozen=True)
 class TriggerLimits:
-    """What a trigger source can do; times are rounded to its tick."""
+    """Limits of a trigger source; times are rounded to its tick."""
 
     tick_s: float
     min_period_s: float

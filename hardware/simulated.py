@@ -45,7 +45,7 @@ _READOUT_S = 2e-3
 # Frames that wait in the camera's driver to be taken; those that find it full are lost, as they are in real ones.
 _BUFFERS = 128
 _NOTHING_SET_UP = "the simulated trigger has no burst to make: configure it first"
-# How long a thread that was told to stop may take.
+# How long a thread may take to stop.
 _STOP_S = 5.0
 
 
