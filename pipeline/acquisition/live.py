@@ -61,7 +61,7 @@ class LiveFrame:
     latency_s : float
         Time from the exposure until all arrays were there.
     warnings : tuple of str
-        What the user should know, a sentence each; of a frame that cannot be decoded, why.
+        What the user should know, one sentence each; of a frame that cannot be decoded, why.
     range_unit : {"mm", "rad"}
         Unit of `range_image` and `sigma`: mm with a calibrated geometry.
     range_image : (H, W) float32
@@ -74,7 +74,7 @@ class LiveFrame:
         Place in the camera's frame in mm (x right, y down, z forward); NaN outside the mask. None without a calibrated
         geometry.
     texture : (H, W, 3) uint8 or None
-        The surface's colour without fringes, sRGB. None unless the decoder was told to give it.
+        The surface's colour without fringes, sRGB. None unless the decoder was set to give it.
 
     Examples
     --------
@@ -130,7 +130,7 @@ class WatchedFrame:
 
 
 class _Decoded(NamedTuple):
-    """What the process reports of a frame whose arrays are in shared memory."""
+    """The process's report on a frame whose arrays are in shared memory."""
 
     slot: int
     number: int
@@ -141,7 +141,7 @@ class _Decoded(NamedTuple):
 
 @dataclass(frozen=True)
 class _LiveTask:
-    """What the process is given when it starts."""
+    """Arguments of the process."""
 
     offered: Any  # shared memory of the frame to decode
     decoded: Any  # and of two decoded frames: one is read while the other is written
@@ -439,6 +439,6 @@ class _LiveWorker:
             fringe = fringe[rows, columns, colors[rows % 2, columns % 2]]
         else:
             fringe = fringe[..., ["rgb0".index(channel) % 3 for channel in format.channels]]
-        # With a decoder of its own: the first frame is to tell the light.
+        # With a decoder of its own: the first frame is to determine the light.
         decoder = Decoder(settings, self._task.calibration, arch=self._task.arch)
         self._write(decoder.decode(self._develop((fringe * format.white_level).astype(format.dtype))), 0)

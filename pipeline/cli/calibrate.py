@@ -229,7 +229,7 @@ def geometry(
     calibration: Path | None = None,
     force: Replace = False,
 ) -> None:
-    """Measure both lenses and where camera and projector stand, from a board in eight poses or more.
+    """Measure both lenses and the poses of camera and projector, from a board in eight poses or more.
 
     Example: colorphase calibrate geometry --make fringes, project and capture all of them in each pose of the board, a
     folder a pose, then colorphase calibrate geometry poses --board chessboard --squares 10x7 --square-mm 24 --out

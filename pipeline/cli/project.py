@@ -251,8 +251,8 @@ def status(*, rig: RigFile) -> None:
 
 def _switch(rig: Path, on: bool) -> None:
     with _opened(rig) as device, stderr.status("asking") as shown:
-        tell: Callable[[str], None] = shown.update
-        sure = device.power(on, tell)
+        notify: Callable[[str], None] = shown.update
+        sure = device.power(on, notify)
     what = "the projector is" if sure else "the projector does not report whether it is, but was switched"
     stdout.print(f"{what} {'on' if on else 'off'}")
 

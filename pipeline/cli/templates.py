@@ -57,7 +57,7 @@ def settings(file: Path, /, *, force: Replace = False) -> None:
 
 
 def settings_template() -> str:
-    """Return a settings file in which every default stands as a comment, below what it means."""
+    """Return a settings file in which every default is a comment, below what it means."""
     lines = ["# Settings for colorphase decode. What is commented out, or left out, has its default."]
     for name, field in DecodeSettings.model_fields.items():
         meaning = " ".join((field.description or "").split())
@@ -105,7 +105,7 @@ def rig(
 def rig_template(
     trigger: str, camera: str, control: str | None, display: int | None = None, serial: str | None = None
 ) -> str:
-    """Return a rig's file in which every key stands below what it means, a comment where it has its default.
+    """Return a rig's file in which every key follows its meaning, a comment where it has its default.
 
     Parameters
     ----------

@@ -4,8 +4,8 @@ Camera channel j of a tile of a few cycles is a mean, a fundamental and harmonic
 
     I_j = DC_j (1 + Re sum_k q_jk exp(i k phi)),    q_j1 = contrast * exp(i d_j) where nothing is wrong.
 
-Dividing by the mean takes reflectance, shading and gains away, so q says what is wrong, and its change from tile to
-tile says why: a lens shifts a channel by pixels, so its phase goes with the local fringe frequency; a black level
+Dividing by the mean takes reflectance, shading and gains away, so q shows what is wrong, and its change from tile to
+tile shows why: a lens shifts a channel by pixels, so its phase goes with the local fringe frequency; a black level
 weighs most where it is dark; motion moves the objects but not the wall; crosstalk is the same everywhere.
 """
 

@@ -8,7 +8,7 @@ neither the phase phi nor the pixel's brightness is known, the bound of Cramer a
     var = sigma^2 / sum_i (dC_i / dphi)_across^2,
 
 the derivative across the light C itself (`docs/accuracy.md`; S. M. Kay, Fundamentals of Statistical Signal Processing,
-volume 1, 1993, section 3.7). The decoder's own noise model then says what smoothing leaves of it
+volume 1, 1993, section 3.7). The decoder's own noise model then gives what smoothing leaves of it
 (`tikernels/phase/smoothing.py`) and that its model of the light, fitted to samples, adds a share of its own
 (`tikernels/phase/uncertainty.py`). Smoothing weighs rows by their certainty, but not without bounds, so that it leaves
 more than the harmonic mean of a cycle's variances and less than their mean: the geometric mean is between the two.
@@ -266,7 +266,7 @@ class RigPlan:
 
     @property
     def contrast_left(self) -> tuple[float, float, float]:
-        """What light that scatters under the surface leaves of the contrast of red, green and blue, 0..1."""
+        """Contrast of red, green and blue that light scattered under the surface leaves, 0..1."""
         red, green, blue = (exp(-2 * (pi * mm / self.fringe.pitch_mm) ** 2) for mm in _SCATTER_MM[self.choice.surface])
         return red, green, blue
 

@@ -41,7 +41,7 @@ class ZarrWriter:
     size_px : (int, int)
         Width and height of every frame.
     format, tags
-        How they are stored, and what the recording says of itself.
+        How they are stored, and what the recording states of itself.
 
     Raises
     ------
