@@ -32,7 +32,7 @@ def phase_error_limit(deviation: float, share: float = 1 / 3, contrast: float = 
     deviation : float
         By which fraction of itself the exposure is off a whole number of cycles.
     share : float
-        Which part of the cycle the shortest colour takes.
+        Part of the cycle that the shortest colour takes.
     contrast : float
         The fringe's.
 
@@ -54,7 +54,7 @@ def check_exposure(exposure_s: float, colour_cycle_s: float) -> None:
     exposure_s : float
         The camera's.
     colour_cycle_s : float
-        How long the projector's red, green and blue take together.
+        Time that the projector's red, green and blue take together.
 
     Raises
     ------

@@ -66,7 +66,7 @@ class Display:
     Parameters
     ----------
     number : int, optional
-        Which one, as `list_displays` counts them; None: the only one there is.
+        Its number, as `list_displays` counts them; None: the only one there is.
 
     Raises
     ------

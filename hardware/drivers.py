@@ -58,7 +58,7 @@ def open_driver(key: str, name: str, group: str, settings: object, protocol: typ
     Parameters
     ----------
     key : str
-        Where the settings name it, as ``camera.driver``, for messages.
+        Place in the settings that names it, as ``camera.driver``, for messages.
     name : str
         A name in the group's table, one that a package announces, or ``module:Class``.
     group : str
@@ -66,7 +66,7 @@ def open_driver(key: str, name: str, group: str, settings: object, protocol: typ
     settings : object
         The section of the settings that the driver is called with.
     protocol : type
-        What the instrument must have, from `hardware.protocols`.
+        Methods that the instrument must have, from `hardware.protocols`.
 
     Raises
     ------

@@ -57,11 +57,11 @@ class Link:
     baud
         Bits per second; 8 bits, no parity, one stop bit, no flow control.
     terminator
-        What ends a line that is sent. A line that is received ends at its last byte; CR and LF around it are taken off.
+        End of a line that is sent. A line that is received ends at its last byte; CR and LF around it are taken off.
     timeout_s
-        How long an answer may take, and how long the port may refuse to take what is sent.
+        Longest time for an answer, and for the port to refuse to take what is sent.
     error
-        What is raised, a ConnectionError with one line that says what to do.
+        Raised on failure, a ConnectionError with one line that says what to do.
     """
 
     def __init__(

@@ -125,7 +125,7 @@ class Rig:
     Parameters
     ----------
     settings : RigSettings
-        What is wired to what, and when it is fired.
+        The wiring of the rig, and its times.
     open_instruments : callable
         Open trigger source and camera; called again after one was lost.
     notify : callable, optional
@@ -143,7 +143,7 @@ class Rig:
     TriggerError, CameraError
         An instrument cannot be reached, or is another one.
     RigError
-        What is requested is impossible.
+        The request is impossible.
 
     Examples
     --------

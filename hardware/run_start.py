@@ -75,7 +75,7 @@ def lateness(now: Start, counted: Start, period_s: float, quickest_s: float, *, 
     quickest_s : float
         The least time that a start command has taken.
     exposures_counted : bool
-        Whether every pulse is known to have made one exposure, and only frames may be missing.
+        True if every pulse is known to have made one exposure, and only frames may be missing.
     """
     if now.triggers is not None and counted.triggers is not None:
         if now.triggers != counted.triggers:

@@ -172,7 +172,7 @@ class MemoryCamera:
     format : FrameFormat
         Theirs.
     exposure_s, readout_s : float
-        How long it cannot be triggered again; a pulse that comes before is lost unnoticed, as with real ones.
+        Time in which it cannot be triggered again; a pulse that comes before is lost unnoticed, as with real ones.
     strobe : callable
         Its exposure output.
     """

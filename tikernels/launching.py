@@ -55,9 +55,9 @@ def kernel(
     function : callable
         In the kernel language.
     whole_vectors : bool
-        Whether the CPU loads and stores the vectors of arrays of such as a whole; see `lanes.py`.
+        True if the CPU loads and stores the vectors of arrays of such as a whole; see `lanes.py`.
     flow_analysis : bool
-        Whether Taichi follows stores to loads for the CPU, before LLVM does it again. That takes 45 % of compiling, and
+        True if Taichi follows stores to loads for the CPU, before LLVM does it again. That takes 45 % of compiling, and
         the kernel runs no faster; but without it LLVM cannot compile every kernel.
     """
     if function is None:

@@ -85,7 +85,7 @@ def init(arch: str = "auto", *, cpu_threads: int | None = None) -> str:
     arch : {"auto", "cpu", "vulkan", "cuda", "metal"}
         "auto" takes the first of CUDA, Metal, Vulkan on real hardware, and the CPU. A named one never falls back.
     cpu_threads : int, optional
-        How many threads share a kernel on the CPU; left out, one for each core. The environment variable
+        Number of threads that share a kernel on the CPU; left out, one for each core. The environment variable
         TI_CPU_MAX_NUM_THREADS goes before it.
 
     Returns

@@ -32,7 +32,7 @@ def open_camera(settings: CameraSettings) -> Camera:
     Parameters
     ----------
     settings : CameraSettings
-        Which camera, and what is fixed in it.
+        The camera, and what is fixed in it.
 
     Raises
     ------

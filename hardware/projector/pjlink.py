@@ -52,7 +52,7 @@ class PJLink:
     Parameters
     ----------
     url : str
-        Where, as ``socket://10.0.0.6:4352``.
+        Address, as ``socket://10.0.0.6:4352``.
     password : str, optional
         PJLink's password, where one is set.
 

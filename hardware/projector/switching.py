@@ -21,7 +21,7 @@ def switch_power(
     Parameters
     ----------
     on : bool
-        What is wanted.
+        True to switch it on, False to switch it off.
     state : callable
         Queries what it does now; None: it is busy, and silent.
     command : callable

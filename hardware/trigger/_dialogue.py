@@ -35,7 +35,7 @@ class Dialogue:
     name
         A pattern of the whole answer to ``*IDN?``, with the groups maker, model, serial and firmware.
     instrument
-        What is expected there, in words.
+        The expected instrument, in words.
 
     Raises
     ------

@@ -389,9 +389,9 @@ def clock_ppm(samples: Sequence[tuple[float, float, int]], tick_s: float) -> flo
     Parameters
     ----------
     samples : (s, s, ticks)
-        When it was queried and when it answered, by this machine's clock, and its tick then, modulo 2^32.
+        Times of the query and of the answer, by this machine's clock, and its tick then, modulo 2^32.
     tick_s : float
-        How long a tick is by its own clock.
+        Length of a tick by its own clock.
 
     Returns
     -------

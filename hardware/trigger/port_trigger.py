@@ -58,7 +58,7 @@ def open_port(settings: TriggerSettings, usual: tuple[int, ...], terminator: byt
     usual : tuple of int
         Baud rates to try where it is not.
     terminator : bytes
-        What ends a line that is sent.
+        End of a line that is sent.
     driver : callable
         Called with the open link; returns the trigger source.
 

@@ -112,15 +112,15 @@ class CaptureFolder:
     Parameters
     ----------
     folder : Path
-        Where, which must not exist.
+        A folder that must not exist.
     rig : Rig
         Set up, for its camera and pulses.
     plan : CapturePlan
-        How bursts are kept.
+        The way bursts are kept.
     calibration : Calibration or None
         The rig's, which is copied there.
     decoding : DecodeSettings
-        How frames are decoded live.
+        Settings for live decoding.
 
     Raises
     ------
@@ -406,7 +406,7 @@ def end_log(path: Path, n_frames: int) -> None:
     path : Path
         The log.
     n_frames : int
-        How many frames there are.
+        Number of frames.
 
     Raises
     ------

@@ -118,7 +118,7 @@ def choose_rig(rig: str, arch: str, notify: Callable[[str], None]) -> ChosenRig:
     rig : str
         Its TOML file, or "simulated".
     arch : str
-        Where a simulated rig's frames are rendered.
+        Device that renders a simulated rig's frames.
     notify : callable
         Called with what is being done.
 

@@ -70,7 +70,7 @@ class ExposureFinder:
     studio : Studio
         Projector and camera, before a still surface.
     exposure_s, gain_db : float
-        What the camera is set to.
+        The camera's present setting.
     period_px : float
         The pattern's period, projector px.
     axis : {0, 1}

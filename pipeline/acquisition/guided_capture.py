@@ -85,7 +85,7 @@ class GuidedCapture:
     studio : Studio
         Projector, camera and operator.
     folder : Path
-        Where the pictures go; what an earlier capture left there is continued.
+        Folder of the pictures; what an earlier capture left there is continued.
     identity : dict
         Must be the same when a capture is continued: the camera's settings, for instance. Plain JSON values.
     notify : callable

@@ -57,11 +57,11 @@ class LiveFrame:
     number : int
         The number under which it was offered.
     exposed_at_s : float
-        When it was exposed, by `time.monotonic`.
+        Time of its exposure, by `time.monotonic`.
     latency_s : float
         Time from the exposure until all arrays were there.
     warnings : tuple of str
-        What the user should know, one sentence each; of a frame that cannot be decoded, why.
+        Warnings for the user, one sentence each; of a frame that cannot be decoded, why.
     range_unit : {"mm", "rad"}
         Unit of `range_image` and `sigma`: mm with a calibrated geometry.
     range_image : (H, W) float32
@@ -170,16 +170,16 @@ class LiveDecoder:
     size_px : (width, height)
         Size of every frame, whose array is (height, width, 3) or (height, width).
     settings : DecodeSettings, optional
-        How to decode.
+        Settings to decode with.
     calibration : Calibration, optional
         The rig; with its geometry, ranges are in mm.
     format : PixelFormat
-        How frames are stored: RGB in one (H, W, 3) plane, or a Bayer mosaic (H, W). OpenCV's BGR is
+        Format of frames: RGB in one (H, W, 3) plane, or a Bayer mosaic (H, W). OpenCV's BGR is
         ``PixelFormat("rgb", channels="bgr")``.
     arch : {"auto", "cpu", "vulkan", "cuda", "metal"}
-        Where to compute; a named one never falls back.
+        Device to compute on; a named one never falls back.
     texture : bool
-        Whether frames get their texture, which takes half as long again as decoding.
+        True if frames get their texture, which takes half as long again as decoding.
 
     Raises
     ------
@@ -293,12 +293,12 @@ class LiveDecoder:
         number : int
             The number by which `latest` names it.
         exposed_at_s : float
-            When it was exposed, by `time.monotonic`, which all processes of a machine share.
+            Time of its exposure, by `time.monotonic`, which all processes of a machine share.
 
         Returns
         -------
         bool
-            Whether it will be decoded.
+            True if it will be decoded.
 
         Raises
         ------

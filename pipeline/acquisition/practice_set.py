@@ -56,7 +56,7 @@ def write_practice(folder: Path, arch: str, notify: Callable[[str], None]) -> Ca
         ``second-board`` (of `multishot_sequence`, a folder a pose), ``ball.png`` and ``plane.png`` under the coded
         pattern, ``truth.json`` (a calibration) and ``objects.json`` (where ball and plane are).
     arch : str
-        Where light and objects are rendered; boards are by NumPy.
+        Device that renders light and objects; boards are by NumPy.
     notify : callable
         Called with what is being done.
 

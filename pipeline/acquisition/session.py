@@ -117,13 +117,13 @@ def capture_bursts(
     folder : Path
         The folder to make: the recording, ``log.jsonl`` and ``calibration.json``.
     plan : CapturePlan
-        How much is captured, and how it is kept.
+        The number of bursts, and the way to keep them.
     calibration : Calibration, optional
         The rig's.
     decoding : DecodeSettings
-        How frames are decoded live.
+        Settings for live decoding.
     stopping : Stopping
-        Where Ctrl-C comes in.
+        The handler of Ctrl-C.
     notify : callable, optional
         Called with the progress, at the start and after every burst that is kept or thrown away.
 
@@ -187,7 +187,7 @@ def watch_bursts(
     settings, open_instruments, calibration, decoding
         See `capture_bursts`.
     arch : str
-        Where to compute.
+        Device to compute on.
     notify : callable
         Called at the start and after every burst, with the frame that is decoded and the number of bursts thrown away.
 

@@ -146,7 +146,7 @@ def render_elsewhere(task: SceneTask, step: Callable[[str], None]) -> Scene:
     Parameters
     ----------
     task : SceneTask
-        What to render, and where.
+        The scene, and the device that renders it.
     step : callable
         Called with what is being done.
 
@@ -214,7 +214,7 @@ def simulated_instruments(
     wiring : RigSettings
         Its exposure, its calibration, whether its camera is a webcam, and which outputs are wired back.
     arch : str
-        Where the frames are rendered, in a process of its own.
+        Device that renders the frames, in a process of its own.
     step : callable
         Called with what is being done.
 

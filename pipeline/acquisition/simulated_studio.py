@@ -168,7 +168,7 @@ class SimulatedStudio:
     Parameters
     ----------
     held : Board, BallBar, Plate or Relief, optional
-        What is held before it; None: a white sheet.
+        Object that is held before it; None: a white sheet.
     exposure_s : float
         The camera's.
     notify : callable, optional
@@ -176,16 +176,16 @@ class SimulatedStudio:
     truth : Calibration, optional
         The rig's geometry; None: `simulated_truth`.
     light : CaptureLight
-        What happens between the projector's codes and the camera's levels.
+        Light between the projector's codes and the camera's levels.
     faults : StudioFaults
-        What is wrong with it.
+        Faults of the rig.
     seed : int, optional
         Of its noise and its operator's hands; None: fresh ones.
 
     Attributes
     ----------
     n_acts : int
-        How often its operator has done something.
+        Number of its operator's actions.
     """
 
     def __init__(

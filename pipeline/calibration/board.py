@@ -314,7 +314,7 @@ class Board(Model):
         Returns
         -------
         (N,) int, (N, 2) float64
-            Which of `corners_mm`, and where, px. A chessboard may be numbered from either end.
+            Numbers in `corners_mm`, and places, px. A chessboard may be numbered from either end.
 
         Raises
         ------

@@ -77,7 +77,7 @@ def edge_blur_px(grey: FloatArray, corners: FloatArray, side_px: float) -> float
     grey : (H, W)
         Any scale.
     corners : (N, 2)
-        Where black meets white, px.
+        Places where black meets white, px.
     side_px : float
         A square's side.
 
@@ -161,11 +161,11 @@ def measure_pose(
     Parameters
     ----------
     name : str
-        What the pose is called in messages.
+        Name for messages.
     captures : mapping from name to (H, W, 3)
         The captures of `multishot_sequence`.
     board : Board
-        What stands there.
+        The board in the pose.
     projector_size_px : (width, height)
         The projector's.
     white_level : float, optional
@@ -315,13 +315,13 @@ def measure_poses(
         A folder with a folder per pose, each with the captures of `multishot_sequence`, or footage with all poses; see
         `find_poses`.
     board : Board
-        What stands there.
+        The board in the pose.
     projector_size_px : (width, height)
         The projector's.
     white_level : float, optional
         Full scale; None: the type's.
     least : int
-        How many poses are needed.
+        Number of poses needed.
 
     Raises
     ------

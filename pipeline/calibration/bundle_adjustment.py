@@ -145,7 +145,7 @@ class BundleAdjustment:
         stands : (6,)
             Rotation vector and place, mm.
         scale : float
-            How many times as large as given the board is.
+            Factor by which the board is larger than given.
 
         Returns
         -------

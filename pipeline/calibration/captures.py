@@ -48,7 +48,7 @@ def write_sequence(
     folder : Path
         A folder that does not exist yet, or is empty.
     sequence : PictureSequence
-        What to write.
+        Pictures to write.
     codes : callable
         From a name to (height, width, 3) projector codes, 0..1.
 

@@ -69,7 +69,7 @@ def radiometry_figure(found: Radiometry) -> "Figure":
     Parameters
     ----------
     found : Radiometry
-        What was measured.
+        Measured light.
 
     Returns
     -------

@@ -172,7 +172,7 @@ class Geometry:
         size_px : (width, height)
             The frame's.
         what : str
-            What the message calls it.
+            Name for messages.
 
         Raises
         ------
@@ -362,7 +362,7 @@ class Calibration(Model):
         sensor : SensorPart, optional
             The part of the sensor that they are. Where it or the calibration's is not known, only sizes are compared.
         what : str
-            What messages call them.
+            Name for messages.
 
         Raises
         ------

@@ -129,7 +129,7 @@ def decode_multishot(
     size_px : (width, height)
         The projector's.
     where : str
-        What errors call these captures.
+        Name for messages.
     white_level : float, optional
         Full scale; None: the type's.
 

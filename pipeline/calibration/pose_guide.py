@@ -66,11 +66,11 @@ class PoseGuide:
     Parameters
     ----------
     board : Board
-        What is held.
+        The board that is held.
     camera_px, projector_px : (width, height)
         The sizes of both.
     pattern : Pattern
-        What will be projected when frames are decoded.
+        Pattern of the frames to be decoded.
     """
 
     def __init__(

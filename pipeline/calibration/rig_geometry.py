@@ -228,7 +228,7 @@ def solve_geometry(
     camera_size_px, projector_size_px : (width, height)
         The two devices' sizes in px.
     pattern : Pattern
-        What will be projected when frames are decoded.
+        Pattern of the frames to be decoded.
     base : Calibration, optional
         A calibration whose light is kept.
     baseline_mm : float, optional

@@ -134,7 +134,7 @@ def judge_radiometry(found: Radiometry, geometry: Geometry | None) -> Radiometry
     Parameters
     ----------
     found : Radiometry
-        What was measured.
+        Measured light.
     geometry : Geometry, optional
         The rig's, which turns a radian into mm.
     """
@@ -331,7 +331,7 @@ def depth_slopes(
     axis : int
         Projector axis along which the phase changes.
     depth_mm : float
-        Where the object is.
+        Depth of the object.
     """
     width, height = camera_size_px
     grid = np.stack(np.meshgrid(np.linspace(0.2, 0.8, 3) * width, np.linspace(0.2, 0.8, 3) * height), -1).reshape(
@@ -397,7 +397,7 @@ def judge_geometry(
     camera_size_px : (width, height)
         The camera's.
     pattern : Pattern
-        What frames are taken with.
+        Pattern of the frames.
     depth_range_mm : (nearest, farthest), optional
         Where objects will be; None: where the boards were.
     """

@@ -97,7 +97,7 @@ def radiometry(
     calibration
         An earlier calibration, whose geometry is kept.
     transfer
-        How the camera encodes light; left out, it is measured.
+        Encoding of the camera's light; left out, it is measured.
     exposure_s
         Exposure, s, to be compared when frames are decoded.
     gain
@@ -241,7 +241,7 @@ def geometry(
         Folder with one folder per pose, each with the captures under the names that the pictures have or in the order
         of projection, or with a recording; or one such folder, recording or video with all poses.
     board
-        What the board is.
+        Kind of the board.
     out
         The calibration to write; a picture of corners, poses and rig is written next to it.
     baseline_mm

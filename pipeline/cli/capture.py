@@ -51,7 +51,7 @@ def capture(
     out
         The folder to make.
     bursts
-        How many; left out, one, or with --endless or --keep-last as many as come until Ctrl-C.
+        Number of bursts; left out, one, or with --endless or --keep-last as many as come until Ctrl-C.
     endless
         Let pulses run on without a gap, until Ctrl-C.
     keep_last

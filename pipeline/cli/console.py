@@ -146,7 +146,7 @@ class _Progress:
     Parameters
     ----------
     columns : ProgressColumn
-        What the line on a terminal has.
+        Parts of the line on a terminal.
     """
 
     def __init__(self, *columns: ProgressColumn) -> None:

@@ -121,19 +121,19 @@ def render(
     camera_path
         A TOML file with the way of a film's eye, a table keyframes for each place: at, position, focal_point, up.
     turn
-        How far a film's eye goes round the surface, degrees.
+        Angle by which a film's eye goes round the surface, degrees.
     sway
-        How far it swings to either side, once, degrees.
+        Angle by which it swings to either side, once, degrees.
     compare
         Another mesh, the signed distance from which colours show, in place of --colors.
     buffers
-        What to write in addition to a still: NAME.depth.tiff (float32, mm before the eye), NAME.normals.png.
+        Files to write in addition to a still: NAME.depth.tiff (float32, mm before the eye), NAME.normals.png.
     size
         Width and height of the picture in px.
     fps
         A film's pictures a second, one a frame; left out, 30.
     seconds
-        How long the film of a single surface is; left out, 4.
+        Length of the film of a single surface; left out, 4.
     """
     asked = {"frame": frame, "fps": fps, "seconds": seconds, "turn": turn, "sway": sway, "camera-path": camera_path}
     given = {name for name, value in asked.items() if value is not None} | ({"buffers"} if buffers else set())

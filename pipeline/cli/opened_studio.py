@@ -33,11 +33,11 @@ def opened_studio(
     rig : str
         Its file, for messages.
     held : Board, BallBar, Plate or None
-        What the simulated operator holds; None: a white sheet.
+        The object that the simulated operator holds; None: a white sheet.
     picture : Path
         The PNG that shows the operator of a real rig what to do.
     any_exposure : bool
-        Whether the exposure may be no whole number of the projector's cycles, which is refused else.
+        True if the exposure may be no whole number of the projector's cycles, which is refused else.
 
     Raises
     ------

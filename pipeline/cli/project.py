@@ -171,7 +171,7 @@ def project(
     picture
         The PNG, of the display's size.
     display
-        Which one, as `colorphase devices` numbers them; left out, the only one there is.
+        Its number, as `colorphase devices` numbers them; left out, the only one there is.
     seconds
         Stop after this time, s.
     """

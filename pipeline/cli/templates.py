@@ -114,7 +114,7 @@ def rig_template(
     control : str or None
         The projector's; None: nothing switches it.
     display : int or None
-        Which display the projector is; None: something else shows the pattern.
+        Number of the projector's display; None: something else shows the pattern.
     serial : str or None
         The camera's serial number; None: the only camera there is.
 

@@ -357,9 +357,9 @@ def gather_evidence(
     says : StoredAs
         The user's statement of how pixels are stored.
     settings : DecodeSettings
-        How it is meant to be decoded.
+        Settings intended for decoding.
     arch : str
-        Where to compute.
+        Device to compute on.
     notify : callable
         Called with what is being done.
     """
@@ -397,9 +397,9 @@ class _Gatherer:
         total : int
             Number of frames that are inspected in all.
         ask : bool
-            Whether to diagnose the first one with fringes, if none has been.
+            True to diagnose the first one with fringes, if none has been.
         follow : bool
-            Whether to keep them all as a sequence.
+            True to keep them all as a sequence.
         """
         before: tuple[StoredFrame, InspectedFrame] | None = None
         first = True

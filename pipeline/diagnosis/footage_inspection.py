@@ -487,13 +487,13 @@ def inspect_footage(
     Parameters
     ----------
     path : str or Path
-        What `open_footage` opens.
+        Path for `open_footage`.
     says : StoredAs, optional
         The user's description of how pixels are stored.
     settings : DecodeSettings, optional
-        How the footage is meant to be decoded.
+        Settings intended for decoding.
     arch : {"auto", "cpu", "vulkan", "cuda", "metal"}
-        Where to compute.
+        Device to compute on.
     notify : callable
         Called with what is being done.
     calibration : Calibration, optional

@@ -105,7 +105,7 @@ def check_surface(
     calibration : Calibration
         The one to check.
     shape : {"plane", "ball"}
-        What was captured: the largest surface in view for a plane, the one nearest to a ball for a ball.
+        The captured shape: the largest surface in view for a plane, the one nearest to a ball for a ball.
     radius_mm : float, optional
         The ball's true radius.
 
@@ -243,7 +243,7 @@ def check_epipolar(
     calibration : Calibration
         The one to check.
     where : str
-        What errors call these captures.
+        Name for messages.
     white_level : float, optional
         Full scale; None: the type's.
 
@@ -314,7 +314,7 @@ def correct_light(
     calibration : Calibration
         The one at fault.
     diagnosis : Diagnosis
-        What was found.
+        Findings.
     image : (H, W, 3)
         The image that the frame was decoded from, levels as they came.
     white_level : float
@@ -402,11 +402,11 @@ def check_picture(
     calibration : Calibration
         The one to check.
     settings : DecodeSettings
-        How to decode, as `with_transfer_of` completes them for this picture.
+        Settings to decode with, as `with_transfer_of` completes them for this picture.
     arch : str
-        Where to compute.
+        Device to compute on.
     shape : {"plane", "ball"}, optional
-        What was captured, to be compared with a perfect one.
+        The captured shape, to be compared with a perfect one.
     radius_mm : float, optional
         The ball's true radius.
 

@@ -72,7 +72,7 @@ def find_bands(light: FloatArray, mask: npt.NDArray[np.bool_], period_px: float)
     light : (H, W, 3)
         Linear.
     mask : (H, W) bool
-        Where a phase was found.
+        True where a phase was found.
     period_px : float
         Camera px per cycle: means over a whole one do not show the fringe.
     """
@@ -149,13 +149,13 @@ def diagnose(
     unwrapped_phase : (H, W) float32
         rad, ripple and all; one order a surface.
     mask : (H, W) bool
-        Where it holds.
+        True where it holds.
     known : KnownLight, optional
-        What the decoder undoes; None: nothing.
+        Light that the decoder undoes; None: nothing.
     transfer : {"linear", "srgb", "bt709"} or (N,) floats
         By which the decoder reads the levels.
     absolute : (H, W) bool, optional
-        Where the orders are absolute, so that the code is known; None: nowhere.
+        True where the orders are absolute, so that the code is known; None: nowhere.
 
     Returns
     -------

@@ -65,19 +65,19 @@ class Footage(ABC):
     Attributes
     ----------
     name : str
-        What the user gave.
+        As the user gave it.
     size_px : (int, int)
         Width and height of every frame, whose arrays have the shape (height, width, 3).
     format : PixelFormat
-        How the first good frame is stored; others differ only if their frame states it.
+        Format of the first good frame; others differ only if their frame states it.
     transfer : str or None
-        How light is encoded ("linear", "srgb", "bt709"), where the file states it.
+        Encoding of light ("linear", "srgb", "bt709"), where the file states it.
     transfer_because : str
         The evidence for the transfer, or that there is none.
     sensor : SensorPart or None
         The part of the camera's sensor that frames are; None: the footage does not specify it.
     notes : tuple of str
-        What was assumed because the container does not specify it, one sentence each; for the user.
+        Assumptions, where the container does not specify it, one sentence each; for the user.
 
     Examples
     --------
@@ -146,7 +146,7 @@ class Footage(ABC):
         start, stop, step : int
             As of a slice.
         stripes : {"horizontal", "vertical"}
-            Which way the fringe runs; a mosaic's missing colours are taken from along it.
+            Direction of the fringe; a mosaic's missing colours are taken from along it.
 
         Yields
         ------

@@ -52,11 +52,11 @@ class ImageFolder(Footage):
     Parameters
     ----------
     name : str
-        What the user gave.
+        As the user gave it.
     folder : Path
-        Where they are.
+        Their folder.
     names : sequence of str
-        Which files, in order.
+        Names of the files, in order.
     says : StoredAs
         The user's description of the pixels.
     stack : _Stack, optional

@@ -35,7 +35,7 @@ def open_footage(
     Parameters
     ----------
     path : str or Path
-        Which.
+        The folder or file.
     bayer, bits, siting, matrix, full_range
         How the pixels are stored, see `PixelFormat`; each wins over what the footage states of itself. Grey footage
         needs `bayer`.

@@ -122,7 +122,7 @@ def choose_board(field_mm: tuple[float, float], mm_per_px: float) -> BoardChoice
     Parameters
     ----------
     field_mm : (width, height)
-        What camera and projector both see at the object's distance.
+        The field that camera and projector both see at the object's distance.
     mm_per_px : float
         Of the camera, there.
     """
@@ -178,17 +178,17 @@ def expected_phase_sigma(
     surface : {"skin", "white"}
         Its colour.
     brightness : float
-        What the brightest channel reaches where the fringe is brightest, 0..1 of full scale.
+        Level that the brightest channel reaches where the fringe is brightest, 0..1 of full scale.
     contrast : float
-        What ambient light and blur leave of the fringe's contrast, 0..1.
+        Contrast of the fringe that ambient light and blur leave, 0..1.
     noise_levels : float
         Standard deviation of the camera's noise, in 1/255 of full scale.
     bits : int
         The camera's; rounding to whole levels has the variance of an even distribution over one.
     sensor : {"bayer", "rgb"}
-        Whether a pixel has one colour or all three.
+        One colour per pixel, or all three.
     cycles_in_view : float
-        How many cycles of the fringe the camera sees.
+        Number of cycles of the fringe that the camera sees.
     code : {"contrast", "contrast2"}
         The pattern's.
 

@@ -50,9 +50,9 @@ class Recorder:
     path : str or Path
         ``NAME.zarr``; it must not exist.
     format : PixelFormat
-        How frames come: RGB in one (H, W, 3) plane, or a Bayer mosaic.
+        Format of frames: RGB in one (H, W, 3) plane, or a Bayer mosaic.
     transfer : {"linear", "srgb", "bt709"}, optional
-        How light is encoded, if that is known.
+        Encoding of light, if that is known.
     rate_hz : int or Fraction
         Frames a second, up to 500: for players; frames are known by their numbers.
     sensor : SensorPart, optional
@@ -250,7 +250,7 @@ class WritingThreads:
     open : callable
         Makes the writer, in the first of the threads.
     n_threads : int
-        How many of them write.
+        Number of them that write.
     like : (H, W, 3) or (H, W)
         A frame, for its shape and type.
     """

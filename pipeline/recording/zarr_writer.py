@@ -111,14 +111,14 @@ def finish_recording(part: Path) -> tuple[Path, int]:
     Parameters
     ----------
     part : Path
-        What a recorder has left, see `unfinished`.
+        Recording that a recorder has left, see `unfinished`.
 
     Returns
     -------
     Path
         The recording.
     int
-        How many frames it holds.
+        Number of frames it holds.
 
     Raises
     ------

@@ -120,7 +120,7 @@ def triangulate_mesh(depth: F32, mask: Mask, links: U8) -> npt.NDArray[np.int32]
     mask : (H, W) bool or uint8
         Pixels that become vertices.
     links : (H, W) uint8
-        Which pixels an edge may join; see `link_pixels`. None leads out of the mask.
+        Pixels that an edge may join; see `link_pixels`. None leads out of the mask.
 
     Returns
     -------

@@ -63,7 +63,7 @@ def point_sigma(
     projector : ProjectorGeometry
         The projector.
     out : (H, W) float32, optional
-        Where the result goes.
+        Output array.
 
     Returns
     -------

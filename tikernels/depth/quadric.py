@@ -296,7 +296,7 @@ def fit_windows(depth: F32, precision: F32, runs: U8, top: int, out: npt.NDArray
     precision : (H, W) float32
         1 / sigma^2; 0 where a pixel does not count.
     runs : (4, H, W) uint8
-        What `measure_runs` found.
+        Results of `measure_runs`.
     top : int
         The first row.
     out : (3, 4, rows, W) float32

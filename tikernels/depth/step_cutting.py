@@ -233,11 +233,11 @@ def link_pixels(depth: F32, sigma: F32, width: F32, region: I32, out: U8 | None 
     sigma : (H, W) float32
         Its standard deviation, in the same unit.
     width : (H, W) float32
-        What a pixel is wide there, in the same unit.
+        Width of a pixel there, in the same unit.
     region : (H, W) int32
         Surfaces from 1, 0: none. Pixels of two regions are never linked.
     out : (H, W) uint8, optional
-        Where the result goes.
+        Output array.
 
     Returns
     -------
@@ -305,16 +305,16 @@ def cut_steep_links(links: U8, depth: F32, sigma: F32, width: F32, max_slope: fl
     sigma : (H, W) float32
         Its standard deviation, in the same unit.
     width : (H, W) float32
-        What a pixel is wide there, in the same unit.
+        Width of a pixel there, in the same unit.
     max_slope : float
         By how many widths of a pixel the depth may change from one to the next.
     out : (H, W) uint8, optional
-        Where the result goes; may be the links.
+        Output array; may be the links.
 
     Returns
     -------
     (H, W) uint8
-        What is left of the links.
+        The remaining links.
 
     Raises
     ------

@@ -136,7 +136,7 @@ def fit_surface(depth: F32, sigma: F32, mask: Mask, links: U8) -> FittedSurface:
     mask : (H, W) bool or uint8
         Pixels that have a depth.
     links : (H, W) uint8
-        What is on one surface with what; see `link_pixels`. None leads out of the mask.
+        Links between pixels of one surface; see `link_pixels`. None leads out of the mask.
 
     Returns
     -------

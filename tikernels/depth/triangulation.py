@@ -161,7 +161,7 @@ def triangulate(unwrapped_phase: F32, rays: F32, projector: ProjectorGeometry, o
     projector : ProjectorGeometry
         The projector.
     out : (H, W, 3) float32, optional
-        Where the result goes.
+        Output array.
 
     Returns
     -------

@@ -85,7 +85,7 @@ def place_vertices(depth: F32, slope: F32, shift: F32, points: Floats, mask: Mas
     points : (H, W, 3) float32
         mm, camera frame.
     mask : (H, W) bool or uint8
-        Where there are points; elsewhere rays are those of the cubic.
+        True where there are points; elsewhere rays are those of the cubic.
     kept : (H, W) bool or uint8
         Pixels that become vertices.
 
@@ -124,7 +124,7 @@ def ray_cubic(points: Floats, mask: npt.NDArray[np.bool_]) -> Floats:
     points : (H, W, 3) float32
         mm, camera frame.
     mask : (H, W) bool
-        Where they are; in one pixel at least.
+        True where there are points; in one pixel at least.
 
     Returns
     -------

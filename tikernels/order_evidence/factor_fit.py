@@ -353,7 +353,7 @@ def fit_factors(
     gain : two float
         The usual factor, if it is known, and by how much a part's differs from it, as a standard deviation.
     by_cycle : bool
-        Whether all blocks of a cycle have the same level.
+        True if all blocks of a cycle have the same level.
     level : (K, n) float32, optional
         The blocks' contrasts in each fit, if not as they were seen.
     """

@@ -225,9 +225,9 @@ def measure_bends(
     region : (H, W) int32
         The region's number from 1; 0 outside.
     known : (regions + 1,) bool
-        Whether a region's orders are absolute; see `correct_by_modulation`.
+        True where a region's orders are absolute; see `correct_by_modulation`.
     ripples : CodeRipples
-        What the code does, whatever the shares.
+        Ripples of the code, whatever the shares.
     half : int
         Rows of half a cycle.
     most : float
@@ -266,10 +266,10 @@ def correct_by_modulation(
     unwrapped : (H, W) float32
         rad.
     known : (regions + 1,) bool
-        Whether a region's orders are absolute; False for 0. It must reach to the largest number in `region`:
+        True where a region's orders are absolute; False for 0. It must reach to the largest number in `region`:
         nobody checks that, which would cost a pass over the image.
     ripples : CodeRipples
-        What the code does.
+        Ripples of the code.
     out : (H, W) float32
         The phase (rad, a little beyond [-pi, pi]), which is corrected.
 

@@ -178,7 +178,7 @@ def find_other_offsets(
     evidence : OffsetEvidence
         Of the patches.
     cells : Cells
-        Where they are.
+        Their places.
     brightness : (P,) float
         The logarithm of their blocks' brightness, times as how much they count.
     own : int

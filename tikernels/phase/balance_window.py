@@ -58,7 +58,7 @@ class BalanceWindow:
         half : (Hg, Wg, N) float32
             Scratch.
         out : (Hg, Wg, N) float32
-            Where the result goes.
+            Output array.
         """
         smooth_across_kernel(sums, self._across, half)
         smooth_along_kernel(half, self._along, out)

@@ -110,7 +110,7 @@ def undo_camera_blur(phase: F32, brightness: F32, precision: F32, out: tuple[F32
     precision : (H, W) float32
         1 / rad^2, one over the phase's variance.
     out : two (H, W) float32
-        Where the phase goes, rad, not the input; and its misfit, in units of that variance, which is added to.
+        The phase, rad, not the input; and its misfit, in units of that variance, which is added to.
 
     Raises
     ------

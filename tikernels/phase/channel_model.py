@@ -148,14 +148,14 @@ class ChannelModel:
         Parameters
         ----------
         crosstalk : Crosstalk
-            What the gains were measured with.
+            Crosstalk of the measurement.
         levels : FrameLevels
             Clipped samples, and those with less modulation, have no phase.
 
         Returns
         -------
         (tiles, bins) int64
-            How often the bare phase falls into each bin of the cycle from -pi to pi, by tile of the image. A sample
+            Counts of the bare phase in each bin of the cycle from -pi to pi, by tile of the image. A sample
             with one clipped channel counts: else the phases at which that channel is bright would be missing.
         """
         gains = self.gains
@@ -189,7 +189,7 @@ class ChannelModel:
         Parameters
         ----------
         crosstalk : Crosstalk
-            What the gains were measured with.
+            Crosstalk of the measurement.
         correction : (bins + 1,) float32
             rad, to be added to the bare phase; see `equalization.correction_table`.
         known : (3, terms) float32
@@ -198,7 +198,7 @@ class ChannelModel:
         contrast_doubt : float
             Standard deviation of a pixel's contrast about what its neighbourhood shows, as a fraction.
         fixed : bool
-            Whether the template is known for sure, and not fitted.
+            True if the template is known for sure, and not fitted.
 
         Raises
         ------

@@ -30,7 +30,7 @@ def known_template(matrix: npt.NDArray[np.floating], light: npt.NDArray[np.compl
     Parameters
     ----------
     matrix : (3, 3)
-        What takes the projector's balanced channels to the template's.
+        Map from the projector's balanced channels to the template's.
     light : (3, N) complex128
         Harmonics from the zeroth on of the projector's light; see `projector_response.light_spectrum`.
     """

@@ -366,7 +366,7 @@ def balance_color(
     crosstalk_matrix : (3, 3), optional
         camera = matrix @ projector; what the second look needs to predict a channel. None: no crosstalk.
     out : (H, W, 3) float32, optional
-        Where the result goes.
+        Output array.
 
     Returns
     -------

@@ -109,7 +109,7 @@ class Crosstalk:
         lag : (3,), optional
             rad; see `channel_delays`.
         surfaces : Surfaces, optional
-            What their colours do beyond what the balance undoes; None: nothing.
+            Effect of their colours beyond what the balance undoes; None: nothing.
 
         Raises
         ------
@@ -140,7 +140,7 @@ def correct_crosstalk(image: F32, crosstalk_matrix: npt.ArrayLike, out: F32 | No
     crosstalk_matrix : (3, 3)
         camera = matrix @ projector.
     out : (H, W, 3) float32, optional
-        Where the result goes.
+        Output array.
 
     Returns
     -------

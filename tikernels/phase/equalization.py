@@ -66,7 +66,7 @@ def measure_correction(
     Parameters
     ----------
     histogram : (bins,) or (tiles, bins) numbers
-        How often the wrapped phase fell into each bin of [-pi, pi], in the whole image or in each of its tiles, whose
+        Counts of the wrapped phase in each bin of [-pi, pi], in the whole image or in each of its tiles, whose
         scatter determines the variance.
     harmonics : int, optional
         Nothing is known of harmonics beyond this one. A fringe of P pixels that runs along the pixel rows shows only P
@@ -254,9 +254,9 @@ def equalize_phase(
     bins : int
         Bins of the histogram, of which the table is interpolated.
     harmonics : int, optional
-        How many harmonics of the correction are kept; see `correction_table`.
+        Number of harmonics of the correction that are kept; see `correction_table`.
     out : (H, W) float32, optional
-        Where the result goes.
+        Output array.
 
     Returns
     -------

@@ -131,7 +131,7 @@ def measure_rows(unwrapped: F32, before: F32, row: float, period_px: float, *, r
     period_px : float
         Camera px per cycle.
     rows_last : bool
-        Whether the camera's rows are the image's columns.
+        True if the camera's rows are the image's columns.
 
     Raises
     ------
@@ -187,13 +187,13 @@ def measure_motion(
     before : (H, W) float32
         The frame before; NaN where there is none.
     fields : ColorFields
-        When the projector shows its colours.
+        Times of the projector's colours.
     shares : (hypotheses,), optional
         Of the frame before; None: not known.
     period_px : float
         Camera px per cycle.
     rows_last : bool
-        Whether the camera's rows are the image's columns.
+        True if the camera's rows are the image's columns.
 
     Raises
     ------
@@ -347,13 +347,13 @@ def hold_still(
     motion : FieldMotion
         See `measure_motion`.
     model : ChannelModel
-        What it was fitted with.
+        Model of the fit.
     crosstalk : Crosstalk
         The same.
     lags : (3,)
         rad, the phase that the model's template has in it; see `FieldMotion.lags`.
     out : (H, W, 3) float32, optional
-        Where the result goes.
+        Output array.
 
     Returns
     -------

@@ -140,9 +140,9 @@ class FringeSharpness:
     Parameters
     ----------
     blocks, grid : (int, int)
-        How many blocks and nodes there are; see `BalanceWindow`.
+        Numbers of blocks and nodes; see `BalanceWindow`.
     cycles : (float, float)
-        How many cycles the frame is high and wide.
+        Height and width of the frame, in cycles.
     """
 
     def __init__(self, blocks: tuple[int, int], grid: tuple[int, int], cycles: tuple[float, float]) -> None:

@@ -114,13 +114,13 @@ def model_variance(precision: F32, misfit: F32, mask: U8, period_px: float, out:
     precision : (H, W) float32
         1 / rad^2, one over the variance that the fit found.
     misfit : (H, W) float32
-        What it says of the model; see `FittedPhase`.
+        Misfit of the model; see `FittedPhase`.
     mask : (H, W) uint8
         Valid pixels.
     period_px : float
         Camera px per cycle.
     out : (H, W) float32, optional
-        Where the result goes.
+        Output array.
 
     Returns
     -------

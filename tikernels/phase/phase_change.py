@@ -52,9 +52,9 @@ def measure_rates(phase: F32, quality: F32, out: F32 | None = None) -> F32:
     phase : (H, W) float32
         rad; NO_PHASE outside the mask.
     quality : (H, W) float32
-        How sure each pixel is, in any unit, as its modulation.
+        Quality of each pixel, in any unit, as its modulation.
     out : (H / 8 + 1, 5) float32, optional
-        Where the result goes; see `rates_buffer`.
+        Output array; see `rates_buffer`.
 
     Returns
     -------

@@ -306,7 +306,7 @@ def fit_phase(
     model : ChannelModel
         The frame's, fitted.
     crosstalk : Crosstalk
-        What the model and its gains were made with.
+        Crosstalk of the model and its gains.
     levels : FrameLevels
         The frame's noise, and what a pixel needs to have a phase.
     correction : (bins + 1,) float32
@@ -314,7 +314,7 @@ def fit_phase(
     contrast_doubt : float
         Standard deviation of a pixel's contrast about what its neighbourhood shows, as a fraction.
     out : FittedPhase, optional
-        Where the results go.
+        Output arrays.
 
     Raises
     ------

@@ -37,7 +37,7 @@ def light_spectrum(
     response : (3, N)
         Light of N evenly spaced codes of R, G, B.
     lag : (3,), optional
-        How far the fringe of R, G, B lags behind its place, rad; see `channel_delays`.
+        Lag of the fringe of R, G, B behind its place, rad; see `channel_delays`.
     contrast : float
         The pattern's, modulation over background; where it is brightest, its code is 1.
     """
@@ -130,7 +130,7 @@ class ResponsePrior:
         blur : float
             exp(-blur) is left of the first harmonic.
         misfit : float
-            What speaks against this response, in squares of standard deviations.
+            Misfit of this response, in squares of standard deviations.
         """
         # Lens, pixels and focus together are usually a Gaussian of a pixel, give or take as much in its square.
         usual = 2 * (np.pi / period_px) ** 2

@@ -326,9 +326,9 @@ class Smoother:
         precision : (H, W) float32
             1 / rad^2, one over the phase's variance; 0 where nothing is known of it.
         rates : (H / 8 + 1, 5) float32
-            What `measure_rates` found of the same phase.
+            Results of `measure_rates` of the same phase.
         out : (H, W) float32, optional
-            Where the result goes; not the input.
+            Output array; not the input.
 
         Returns
         -------
@@ -366,13 +366,13 @@ class Smoother:
         phase : (H, W) float32
             rad, that average with whole cycles.
         mask : (H, W) uint8
-            Where it holds.
+            True where it holds.
         rates : (H / 8 + 1, 5) float32
-            What `measure_rates` found.
+            Results of `measure_rates`.
         out : two (H, W) float32, optional
-            Where the results go; not the input.
+            Output arrays; not the input.
         wraps : bool
-            Whether the phase lacks the whole cycles: rad in [-pi, pi] and a little beyond.
+            True if the phase lacks the whole cycles: rad in [-pi, pi] and a little beyond.
 
         Returns
         -------
@@ -424,7 +424,7 @@ def smooth_phase(wrapped_phase: F32, mask: Mask, smoothing_px: int = 7, *, out: 
     smoothing_px : int
         Odd side of the window, 1 to 15 px.
     out : (H, W) float32, optional
-        Where the result goes; not the input.
+        Output array; not the input.
 
     Returns
     -------

@@ -45,7 +45,7 @@ def common_colors(ratios: _Array, weights: _Array, least: float) -> _Array:
     ratios : (N, 3)
         See `color_ratios`.
     weights : (N,)
-        How much each counts.
+        Weight of each.
     least : float
         Colours of less weight are given to their neighbours.
 

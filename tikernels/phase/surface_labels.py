@@ -93,11 +93,11 @@ def relabel(
     before : (h, w) uint8
         The surfaces that places are taken to show so far.
     founding : (N,) bool
-        Which ones the frame began with: none that came later takes the place of one.
+        True for those that the frame began with: none that came later takes the place of one.
     alike : (N,) bool
-        Which ones are the same paint as another one: they go.
+        True for those that are the same paint as another one: they go.
     afresh : bool
-        Whether only NO_SURFACE is known of what places showed before.
+        True if only NO_SURFACE is known of what places showed before.
     """
     shown = before != NO_SURFACE
     said = (misfits[0] >= 0) & shown
@@ -169,7 +169,7 @@ def cells_of_pixels(lattice: Lattice, labels: _Labels, size: tuple[int, int]) ->
     lattice : Lattice
         The places.
     labels : (h, w) uint8
-        What these show.
+        Surfaces that these show.
     size : (int, int)
         The image's height and width, px.
     """

@@ -48,7 +48,7 @@ def band_weights(wavelengths_nm: npt.ArrayLike) -> _Array:
     Parameters
     ----------
     wavelengths_nm : (3, 3)
-        Where filter i and primary j meet; those of i = j, falling, are those of the three reflectances.
+        Wavelength where filter i and primary j meet; those of i = j, falling, are those of the three reflectances.
     """
     seen = np.asarray(wavelengths_nm, np.float64)
     knots = np.diag(seen)[::-1]
@@ -91,7 +91,7 @@ def predict_matrices(colors: npt.ArrayLike, matrix: npt.ArrayLike, weights: npt.
     Parameters
     ----------
     colors : (N, 3)
-        What the camera sees of them under equally bright primaries.
+        Colours that the camera sees under equally bright primaries.
     matrix : (3, 3)
         camera = matrix @ projector, on white.
     weights : (3, 3, 3)
@@ -236,7 +236,7 @@ def fit_matrices(
     light : (3, harmonics) complex128
         Of the projector's light over its mean, from the first on, as far as it is known.
     doubt : LightDoubt
-        How well it is known.
+        Uncertainty of the light.
     before : FittedMatrices, optional
         Of the first of these surfaces, where the fit begins; None: with the prediction.
     fit_light : bool

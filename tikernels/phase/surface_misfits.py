@@ -202,11 +202,11 @@ def average_light(
     gains : Gains
         That balance it.
     crosstalk : Crosstalk
-        What they were measured with.
+        Crosstalk of the measurement.
     blur : (Hg, Wg) float32
-        What the camera's blur leaves of the contrast around every node of the gains, relative to the usual.
+        Contrast that the camera's blur leaves around every node of the gains, relative to the usual.
     unlit : (H, W) bool
-        Which pixels show no fringe: they have no evidence.
+        Pixels without a fringe: they have no evidence.
     levels : FrameLevels
         Neither do clipped ones.
     rows, columns : int
@@ -214,7 +214,7 @@ def average_light(
     reach_px : int
         Pixels of a mean on either side.
     cells : int32, optional
-        Which cells of 8 x 16 places are compared, others are undefined; None: all.
+        Cells of 8 x 16 places that are compared, others are undefined; None: all.
     """
     image = checks.read_array("image", image, (gains.height, gains.width, 3), *LEVEL_TYPES)
     size = (-(-gains.height // rows), -(-gains.width // columns))

@@ -78,7 +78,7 @@ def measure_texture(light: FrameLight, phase: F32, mask: Mask, period_px: float,
     period_px : float
         Camera px per cycle.
     out : (H, W, 3) uint8, optional
-        Where the result goes.
+        Output array.
 
     Returns
     -------

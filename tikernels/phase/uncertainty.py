@@ -137,11 +137,11 @@ def phase_sigma(
     mask : (H, W) uint8
         Valid pixels.
     empty : (H, W) float32
-        Which part of the window that the channels' model is fitted to is off the mask, 0..1.
+        Part of the window that the channels' model is fitted to that is off the mask, 0..1.
     scatter : float
-        How far rows really differ, in units of what is expected.
+        Actual difference of rows, in units of what is expected.
     out : (H, W) float32, optional
-        Where the result goes.
+        Output array.
 
     Returns
     -------
@@ -194,11 +194,11 @@ def compare_rows(
     mask : (H, W) uint8
         Valid pixels.
     independent : float
-        What smoothing leaves of the variance of the differences, over what it would leave if the rows were independent.
+        Variance of the differences that smoothing leaves, over what it would leave if the rows were independent.
     step, every : int
         px between the rows that are compared, and between the columns that are looked at.
     out : (H - 3 step, ceil(W / every)) float32, optional
-        Where the result goes.
+        Output array.
 
     Returns
     -------
@@ -246,7 +246,7 @@ def estimate_phase_sigma(
     smoothed : (H, W) float32
         rad^2, the variance that noise leaves after smoothing; see `Smoother`.
     misfit : (H, W) float32, optional
-        What it says of the model, see `FittedPhase`; None: the model is right.
+        Misfit of the model, see `FittedPhase`; None: the model is right.
     mask : (H, W) bool or uint8
         Valid pixels.
     edges : (H, W) float32, optional

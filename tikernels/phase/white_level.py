@@ -23,7 +23,7 @@ def primary_cycles(template: npt.NDArray[np.float32], crosstalk: Crosstalk) -> n
     template : (3, terms) float32
         One cycle of the channels of a neutral surface; see `channel_template.py`.
     crosstalk : Crosstalk
-        What makes them of the primaries.
+        Crosstalk from the primaries to them.
     """
     n = np.arange(1, HARMONICS + 1)
     harmonics = crosstalk.inverse.astype(np.float64) @ channel_harmonics(template)
@@ -40,7 +40,7 @@ def white_level(template: npt.NDArray[np.float32], crosstalk: Crosstalk) -> npt.
     template : (3, terms) float32
         One cycle of those channels.
     crosstalk : Crosstalk
-        What makes them of the primaries.
+        Crosstalk from the primaries to them.
 
     Returns
     -------

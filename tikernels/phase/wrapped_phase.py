@@ -77,7 +77,7 @@ def compute_wrapped_phase(image: F32, out: tuple[F32, F32, F32] | None = None) -
     image : (H, W, 3) float32
         R, G, B in linear light, balanced and without crosstalk.
     out : three (H, W) float32, optional
-        Where the results go.
+        Output arrays.
 
     Returns
     -------

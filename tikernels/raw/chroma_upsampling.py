@@ -38,7 +38,7 @@ def chroma_taps(subsampling: int, site: float) -> Taps:
     subsampling : int
         Pixels per sample.
     site : float
-        Where a sample sits: 0, on its first pixel, to 1, on its last.
+        Place of a sample: 0, on its first pixel, to 1, on its last.
     """
     if subsampling == 1:
         return ((0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0),)
@@ -152,9 +152,9 @@ def convert_chroma(planes: tuple[Plane, ...], format: PixelFormat, out: F32 | No
     planes : (H, W) and two (H', W')
         Luma and chroma as stored, see `PixelFormat`; rows may be padded.
     format : PixelFormat
-        How; its layout is "yuv".
+        Storage format; its layout is "yuv".
     out : (H, W, 3) float32, optional
-        Where the result goes.
+        Output array.
 
     Returns
     -------

@@ -100,11 +100,11 @@ def demosaic(mosaic: Plane, format: PixelFormat, stripes: str = "horizontal", ou
     mosaic : (H, W) uint8 or uint16
         Levels, as stored.
     format : PixelFormat
-        How; its layout is "bayer".
+        Storage format; its layout is "bayer".
     stripes : {"horizontal", "vertical"}
-        Which way the fringe runs.
+        Direction of the fringe.
     out : (H, W, 3) float32, optional
-        Where the result goes.
+        Output array.
 
     Returns
     -------

@@ -60,9 +60,9 @@ def align_channels(image: LevelsImage, shift_px: npt.ArrayLike, out: F32 | None 
     image : (H, W, 3) uint8, uint16 or float32
         Levels.
     shift_px : (3, 2)
-        Where R, G and B land, (x, y) in px from their places.
+        Shift of R, G and B from their places, (x, y) in px.
     out : (H, W, 3) float32, optional
-        Where the result goes.
+        Output array.
 
     Returns
     -------

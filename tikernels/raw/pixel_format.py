@@ -51,22 +51,22 @@ class PixelFormat:
     bits : int
         8 to 16, or 32 for floats: full scale is 2 ** bits - 1, or 1.
     shift : int
-        How far the bits are shifted up (P010: 10 bits, shifted by 6).
+        Number of bits by which values are shifted up (P010: 10 bits, shifted by 6).
     channels : str
-        What an "rgb" plane's channels, or its planes, hold: of r, g, b and 0 (unused).
+        Contents of an "rgb" plane's channels, or of its planes: of r, g, b and 0 (unused).
     bayer : {"rggb", "bggr", "grbg", "gbrg"}
         The first two pixels of the first two rows.
     subsampling : (x, y)
         Pixels per chroma sample, 1, 2 or 4 along each axis.
     origin : (x, y)
-        How many pixels of the first chroma samples are missing, left and above: of a picture of an odd size that was
+        Number of pixels missing from the first chroma samples, left and above: of a picture of an odd size that was
         turned, one.
     siting : str
-        Where a chroma sample sits among its pixels, see `SITES`: "left" is the middle of the left column.
+        Place of a chroma sample among its pixels, see `SITES`: "left" is the middle of the left column.
     matrix : {"bt601", "bt709", "bt2020"}
-        How luma was made of R, G, B.
+        Matrix by which luma was made of R, G, B.
     full_range : bool
-        Whether luma uses every level, or 16 to 235 of 255.
+        True if luma uses every level, False if 16 to 235 of 255.
 
     Examples
     --------

@@ -126,7 +126,7 @@ class GivenRegions:
         quality : (H, W) float32
             Larger is better; the modulation.
         drafts : Drafts
-            Where patches and contacts are written.
+            Buffers of patches and contacts.
         """
         marked, seen = runtime.to_host(phase), runtime.to_host(quality)  # synchronises
         valid = marked < LEAST_NO_PHASE

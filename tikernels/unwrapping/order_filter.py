@@ -243,7 +243,7 @@ def correct_fringe_order(
         The filter runs along the stripes first: from the centre (row H // 2, column W // 2) to the left, then to the
         right, then row by row up, then down; for vertical stripes with rows and columns exchanged.
     out : (H, W) float32, optional
-        Where the result goes.
+        Output array.
 
     Returns
     -------

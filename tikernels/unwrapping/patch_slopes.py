@@ -74,7 +74,7 @@ def measure_slopes(phase: F32, labels: I32, cells: I32, draft_bits: int, count: 
     draft_bits : int
         A cell has places for 2^bits patches.
     count : int
-        How many patches there are.
+        Number of patches.
 
     Returns
     -------

@@ -63,7 +63,7 @@ class Patches:
     Parameters
     ----------
     count : int
-        How many patches there are.
+        Number of patches.
     drafts : Drafts
         Labels, and contacts as they were noted; numbered.
     table : (11, capacity) int32
@@ -202,7 +202,7 @@ class Patches:
         projector : ProjectorGeometry
             The projector's pose.
         depth_mm : float
-            Where the object is expected.
+            Expected depth of the object.
 
         Raises
         ------
@@ -229,7 +229,7 @@ class Patches:
         brightness : (H, W) float32
             Of the surface, without the fringe; up to a factor.
         rates : (N, 5) float32
-            What `measure_rates` found.
+            Results of `measure_rates`.
         out_unwrapped : (H, W) float32
             rad; NaN outside the mask.
         out_mask : (H, W) uint8

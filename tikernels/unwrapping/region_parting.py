@@ -130,7 +130,7 @@ def grow_parts(
     px : (S,) float32
         and over how many pixels.
     pixels : (P,) int32
-        How many each patch has.
+        Number of pixels of each patch.
 
     Returns
     -------
@@ -170,7 +170,7 @@ def regions_that_step(roots: npt.NDArray[np.int32], borders: Borders) -> npt.NDA
     roots : (P,) int32
         The patch that stands for each patch's region.
     borders : Borders
-        What the patches' borders show.
+        Evidence of their borders.
     """
     a, b = roots[borders.ends]
     return np.asarray(np.bincount(a[a == b], borders.stepping[a == b], len(roots)) > _MAX_STEPPING)
@@ -186,7 +186,7 @@ def part_regions(
     graph : PatchGraph
         The patches, joined to regions.
     borders : Borders
-        What their borders show.
+        Evidence of their borders.
     slopes : (2, P) float
         Of the patches' phase along and across the stripes, rad per px.
 

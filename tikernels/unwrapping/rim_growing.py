@@ -209,7 +209,7 @@ def grow_rims(phase: F32, precision: F32, misfit: F32, brightness: F32, rates: F
     brightness : (H, W) float32
         Of the surface, without the fringe; up to a factor.
     rates : (N, 5) float32
-        What `measure_rates` found.
+        Results of `measure_rates`.
     out : three (H, W)
         Unwrapped phase, rad, float32, of pixels that are smoothed along the stripes; mask, uint8; and the surface of
         each pixel, int32, 0 off the mask. Pixels are added to them, each with its own phase; the others stay as they

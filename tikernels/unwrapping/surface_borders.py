@@ -261,7 +261,7 @@ def sample_cells(phase: F32, rates: F32, labels: I32) -> CellSamples:
     phase : (H, W) float32
         rad in [-pi, pi]; NO_PHASE outside the mask.
     rates : (N, 5) float32
-        What `measure_rates` found.
+        Results of `measure_rates`.
     labels : (H, W) int32
         Patch and order in it.
     """
@@ -291,7 +291,7 @@ def measure_borders(
     quality : (H, W) float32
         Larger is better; the modulation.
     rates : (N, 5) float32
-        What `measure_rates` found.
+        Results of `measure_rates`.
     labels : (H, W) int32
         Patch and order in it.
     cells : (3, cells + 1) int32

@@ -48,7 +48,7 @@ class RegionUnwrapper:
     height, width : int
         Size of the frames.
     given : GivenRegions, optional
-        Where the patches come from instead of growing; they are not parted.
+        Source of the patches instead of growing; they are not parted.
     """
 
     _table: I32
@@ -85,7 +85,7 @@ class RegionUnwrapper:
         quality : (H, W) float32
             Larger is better; the modulation.
         rates : (N, 5) float32
-            What `measure_rates` found.
+            Results of `measure_rates`.
 
         Returns
         -------
@@ -185,7 +185,7 @@ def unwrap_phase(
     stripes : {"horizontal", "vertical"}
         "horizontal" where the phase changes from row to row.
     out : (H, W) float32, optional
-        Where the result goes.
+        Output array.
 
     Returns
     -------
