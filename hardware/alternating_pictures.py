@@ -1,7 +1,7 @@
-"""Whether each projector pulse showed the next picture: two pictures take turns, one of them dimmer.
+"""Check that each projector pulse showed the next picture: two pictures alternate, one of them dimmer.
 
-A projector that misses a pulse goes on showing the old picture, and nothing but the frame tells. So the rig has it show
-the same pattern bright and dim in turns: the whole frame's brightness then steps at every pulse, wherever the object is
+A projector that misses a pulse keeps showing the old picture, and only the frame shows it. So the rig has it show the
+same pattern bright and dim, alternating: the whole frame's brightness then steps at every pulse, wherever the object is
 and however it moves, and dividing by brightness, as decoding does, leaves the phase as it is. Steps are ratios (their
 logarithms): an object that comes nearer between two bursts makes both pictures brighter.
 """
@@ -14,8 +14,8 @@ import numpy.typing as npt
 from hardware.pairing import Fault
 from hardware.protocols import CameraFrame, Levels
 
-#: How bright the dimmer picture is beside the other where nobody says otherwise: a step eight times the least that is
-#: visible, for little of the light.
+#: Brightness of the dimmer picture relative to the other, by default: a step eight times the least that is visible, for
+#: little of the light.
 DIM = 0.85
 # A step counts as one from this fraction of the usual step on: a moving object's own changes are a few per cent of the
 # light within a period, and a lost pulse leaves no step at all.
@@ -37,11 +37,11 @@ class Alternation:
 
     @property
     def known(self) -> bool:
-        """Whether the picture that the projector shows now is known."""
+        """True if the picture that the projector shows now is known."""
         return self._last is not None
 
     def forget(self) -> None:
-        """Pulses were made of which no frame tells."""
+        """Pulses were made that no frame shows."""
         self._last = None
 
     def start(self, frames: Sequence[CameraFrame]) -> list[Fault]:
@@ -57,7 +57,7 @@ class Alternation:
         return self._follow(steps, None, 0)
 
     def check(self, frames: Sequence[CameraFrame], first_pulse: int) -> list[Fault]:
-        """Return where frames do not show the pictures in turns, beginning with the one that is due."""
+        """Return where frames do not show the pictures alternating, beginning with the one that is due."""
         return self._follow(_steps(frames), None if self._last is None else 1 - self._last, first_pulse)
 
     def _follow(self, steps: npt.NDArray[np.float64], due: int | None, first_pulse: int) -> list[Fault]:

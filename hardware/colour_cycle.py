@@ -20,7 +20,7 @@ from hardware.errors import RigError
 
 #: How far an exposure may be off a whole number of cycles, as a fraction of it: with three equal colours and a full
 #: fringe 0.008 rad of phase at most. 59.94 and 60 Hz differ by half of it, and at 60 Hz it is 33 us, while cameras set
-#: their exposure to 1 us, or to a row's time of some 10 us.
+#: their exposure to 1 us, or to a row's time of about 10 us.
 TOLERANCE = 0.002
 
 
@@ -32,7 +32,7 @@ def phase_error_limit(deviation: float, share: float = 1 / 3, contrast: float = 
     deviation : float
         By which fraction of itself the exposure is off a whole number of cycles.
     share : float
-        Which part of the cycle the shortest colour takes.
+        Part of the cycle that the shortest colour takes.
     contrast : float
         The fringe's.
 
@@ -54,7 +54,7 @@ def check_exposure(exposure_s: float, colour_cycle_s: float) -> None:
     exposure_s : float
         The camera's.
     colour_cycle_s : float
-        How long the projector's red, green and blue take together.
+        Time that the projector's red, green and blue take together.
 
     Raises
     ------

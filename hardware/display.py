@@ -21,15 +21,15 @@ if TYPE_CHECKING:
     import pygame
 
 _INSTALL = "pip install 'colorphase[project]'"
-#: How SDL is to behave, where its user has not said otherwise.
+#: Settings of SDL, where its user has not set others.
 _SDL = {
     "PYGAME_HIDE_SUPPORT_PROMPT": "1",
     # The picture stays when somebody clicks on another display.
     "SDL_VIDEO_MINIMIZE_ON_FOCUS_LOSS": "0",
-    # Windows then tells the display's own pixels, and scales nothing.
+    # Windows then reports the display's own pixels, and scales nothing.
     "SDL_WINDOWS_DPI_AWARENESS": "permonitorv2",
 }
-#: A display server that cannot be reached may take minutes to say so.
+#: A display server that cannot be reached may take minutes to report it.
 _LIST_TIMEOUT_S = 5.0
 #: How soon a key, Ctrl-C or a display that was pulled out is noticed.
 _POLL_S = 0.05
@@ -46,7 +46,7 @@ class DisplayInfo:
 def list_displays() -> list[DisplayInfo]:
     """Return the displays that pictures can be shown on; none where there is no screen, or the library is missing.
 
-    A process of its own asks, because a display server that hangs would hang this one.
+    A process of its own queries it, because a display server that hangs would hang this one.
     """
     command = [sys.executable, "-P", "-c", "from hardware.display import _print_sizes; _print_sizes()"]
     try:
@@ -66,7 +66,7 @@ class Display:
     Parameters
     ----------
     number : int, optional
-        Which one, as `list_displays` counts them; None: the only one there is.
+        Its number, as `list_displays` counts them; None: the only one there is.
 
     Raises
     ------
@@ -116,9 +116,9 @@ class Display:
 
     @property
     def note(self) -> str | None:
-        """What cannot be seen from here and may spoil the picture; None: nothing."""
+        """Possible cause of a spoilt picture that cannot be detected from here; None: none."""
         if self._pygame.display.get_driver() == "x11" and os.environ.get("WAYLAND_DISPLAY"):
-            return "this is a Wayland session, which does not tell of scaling: set that of every display to 100 %"
+            return "this is a Wayland session, which does not report scaling: set that of every display to 100 %"
         return None
 
     def show(self, picture: npt.NDArray[np.uint8]) -> None:
@@ -245,7 +245,7 @@ def _started() -> ModuleType:
     for name, value in _SDL.items():
         os.environ.setdefault(name, value)
     if sys.platform == "linux" and "SDL_VIDEODRIVER" not in os.environ:
-        # Left to itself SDL takes Wayland, where it neither keeps to the display asked for nor knows its scaling, or
+        # Left to itself SDL takes Wayland, where it neither keeps to the requested display nor knows its scaling, or
         # draws into memory that nobody sees.
         if not os.environ.get("DISPLAY"):
             also = " (of a Wayland session, XWayland's)" if os.environ.get("WAYLAND_DISPLAY") else ""

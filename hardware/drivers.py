@@ -21,7 +21,7 @@ _log = logging.getLogger("colorphase.drivers")
 
 @dataclass(frozen=True)
 class Driver:
-    """Where a driver is."""
+    """Location of a driver."""
 
     place: str
     listing: str | None = None  # what returns the `Identity` of each one that can be seen; None: it cannot look
@@ -46,7 +46,7 @@ DRIVERS: Mapping[str, Mapping[str, Driver]] = {
     "colorphase.triggers": TRIGGERS,
     "colorphase.projectors": PROJECTORS,
 }
-#: The driver of a trigger that is no instrument: this program tells the camera when to expose.
+#: The driver of a trigger that is no instrument: this program triggers the camera.
 SOFTWARE = "software"
 #: The driver of trigger and camera of a rig of which nothing is there.
 SIMULATED = "simulated"
@@ -58,7 +58,7 @@ def open_driver(key: str, name: str, group: str, settings: object, protocol: typ
     Parameters
     ----------
     key : str
-        Where the settings name it, as ``camera.driver``, for messages.
+        Place in the settings that names it, as ``camera.driver``, for messages.
     name : str
         A name in the group's table, one that a package announces, or ``module:Class``.
     group : str
@@ -66,13 +66,13 @@ def open_driver(key: str, name: str, group: str, settings: object, protocol: typ
     settings : object
         The section of the settings that the driver is called with.
     protocol : type
-        What the instrument must have, from `hardware.protocols`.
+        Methods that the instrument must have, from `hardware.protocols`.
 
     Raises
     ------
     RigError
-        There is no such module or class, several packages announce the name, it lacks what the protocol asks for,
-        or, if it is the user's, fails.
+        There is no such module or class, several packages announce the name, it lacks what the protocol requires, or,
+        if it is the user's, fails.
     TriggerError, CameraError, ProjectorError
         By the driver: the instrument cannot be reached, or is another one.
     """
@@ -81,7 +81,7 @@ def open_driver(key: str, name: str, group: str, settings: object, protocol: typ
     place = plugin_of(group, name, table, RigError) or own
     driver = load(key, place, RigError)
     members = {member: vars(protocol)[member] for member in vars(protocol) if not member.startswith("_")}
-    if isinstance(driver, type):  # what a class lacks is told before anything is opened
+    if isinstance(driver, type):  # what a class lacks is reported before anything is opened
         methods = [member for member, value in members.items() if callable(value)]
         _refuse_lacking(key, place, driver, methods, protocol)
     elif not callable(driver):

@@ -1,4 +1,4 @@
-"""What can go wrong at the rig; each message is one line that says what to do."""
+"""Errors of the rig; each message is one line that says what to do."""
 
 from tikernels.errors import Error
 
@@ -20,7 +20,7 @@ class BurstError(Error, ConnectionError):
 
 
 class RigError(Error, ValueError):
-    """What the rig is asked for is impossible: its file is wrong, or its times contradict each other.
+    """The rig cannot do what is requested: its file is wrong, or its times contradict each other.
 
     Examples
     --------

@@ -42,7 +42,7 @@ def open_instruments(settings: RigSettings) -> tuple[Trigger, Camera]:
     if settings.trigger.driver == SOFTWARE:
         camera = open_camera(settings.camera)
         return SoftwareTrigger(camera), camera
-    # The trigger source first: a wrong port is told at once, while cameras take seconds.
+    # The trigger source first: a wrong port is reported at once, while cameras take seconds.
     trigger = open_trigger(settings.trigger)
     try:
         return trigger, open_camera(settings.camera)

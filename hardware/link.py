@@ -55,13 +55,13 @@ class Link:
     url
         A serial device, as /dev/ttyUSB0 or COM3, or ``socket://host:port``, ``rfc2217://host:port`` or ``loop://``.
     baud
-        Bits a second; 8 bits, no parity, one stop bit, no flow control.
+        Bits per second; 8 bits, no parity, one stop bit, no flow control.
     terminator
-        What ends a line that is sent. A line that is received ends at its last byte; CR and LF around it are taken off.
+        End of a line that is sent. A line that is received ends at its last byte; CR and LF around it are taken off.
     timeout_s
-        How long an answer may take, and how long the port may refuse to take what is sent.
+        Longest time for an answer, and for the port to refuse to take what is sent.
     error
-        What is raised, a ConnectionError with one line that says what to do.
+        Raised on failure, a ConnectionError with one line that says what to do.
     """
 
     def __init__(
@@ -86,7 +86,7 @@ class Link:
     def send(self, text: str) -> None:
         """Send a line; its terminator is added."""
         _log.debug("%s <- %s", self.url, text)
-        with self._told():
+        with self._port_errors():
             self._port.write(text.encode("ascii") + self._terminator)
 
     def receive(self, timeout_s: float | None = None) -> str | None:
@@ -148,7 +148,7 @@ class Link:
 
     def _read(self, wait: bool) -> bool:
         """Take what arrived; where nothing did, wait a little if allowed. Return whether there was anything."""
-        with self._told():
+        with self._port_errors():
             waiting = self._port.in_waiting
             if not waiting and not wait:
                 return False
@@ -157,7 +157,7 @@ class Link:
         return bool(arrived)
 
     @contextmanager
-    def _told(self) -> Iterator[None]:
+    def _port_errors(self) -> Iterator[None]:
         """Turn the several exceptions of a lost port into one."""
         if not self._port.is_open:
             raise self._error(f"{self.url} is closed: open it again")
@@ -173,7 +173,7 @@ class Link:
             ) from failure
 
     def _opened(self, baud: int) -> serial.SerialBase:
-        """Open the port, or say in words why not."""
+        """Open the port, or raise an error that explains why not."""
         scheme, separator, _ = self.url.lower().partition("://")
         if separator:
             self._check_address(scheme)

@@ -1,8 +1,8 @@
-"""Which pulse a frame belongs to: count AND identity are checked, and what is in doubt is refused.
+"""Pair every frame with its pulse: count AND identity are checked, and what is ambiguous is refused.
 
 A frame's pulse is its place in the burst, never the order of its arrival alone: as many frames as pulses, every one
 whole, numbered without a gap by the camera, a period apart by the camera's clock, none like the one before; and, where
-the camera's exposures are wired back, one of them to every pulse. When a frame arrives says least, and is asked last.
+the camera's exposures are wired back, one of them to every pulse. The time of arrival shows least, and is used last.
 """
 
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from hardware.protocols import CameraFrame, Levels, Strobe, TriggerStatus
 from hardware.pulses import PulseTrain
 from hardware.run_start import Lateness, Start, lateness, start_of
 
-# How far two frames' distance may be off the period, as a fraction of it: clocks are off by some 0.0001, timestamps by
+# How far two frames' distance may be off the period, as a fraction of it: clocks are off by about 0.0001, timestamps by
 # some microseconds, and what is further off was exposed by something else, or under the light of another period.
 _TOLERANCE = 0.05
 # However much pulses jitter, a lost one is a whole period.
@@ -26,7 +26,7 @@ _ARRIVAL_TOLERANCE = 0.5
 # At least three missed pulses, two pulses apart or more, all as far apart: a camera that is still busy when they come.
 # A cable that is out misses every pulse.
 _REGULAR_MISSES, _CLOSEST_MISSES = 3, 2
-# What to look at; of two that a burst does not tell apart, what does.
+# What to check; of two that a burst does not distinguish, what does.
 _TRIGGER = "the camera's trigger cable lost it, or the camera was not ready, which a longer period cures"
 _LINE = "check the camera's trigger cable, and that its trigger line is the one in use"
 _NOISE = "no pulse made it: there is noise on the trigger cable, or the camera runs free, which goes on with it out"
@@ -55,7 +55,7 @@ FaultKey = Literal[
 
 @dataclass(frozen=True)
 class Fault:
-    """What is wrong with a burst: a key and one line, with the pulse that it begins at where that is known."""
+    """A fault of a burst: a key and one line, with the pulse that it begins at where that is known."""
 
     key: FaultKey
     reason: str
@@ -68,7 +68,7 @@ class Fault:
 
 @dataclass(frozen=True)
 class Evidence:
-    """All that is known of a run of pulses that has ended, or of a part of one that goes on."""
+    """All that is known of a run of pulses that has ended, or of a part of one that continues."""
 
     train: PulseTrain
     by_software: bool  # whether this program triggers the camera, and no cable does
@@ -93,7 +93,7 @@ class Evidence:
 
     @property
     def tolerance(self) -> float:
-        """How far two frames' distance may be off the period, in periods."""
+        """Largest error of two frames' distance, in periods."""
         return min(_TOLERANCE + 2 * self.jitter_s / self.train.period_s, _MOST_TOLERANCE)
 
     @property
@@ -108,12 +108,12 @@ class Evidence:
 
     @property
     def exposures_counted(self) -> bool:
-        """Whether one exposure to every pulse was reported."""
+        """True if one exposure to every pulse was reported."""
         pulses = list(range(self.first_pulse, self.first_pulse + self.count))
         return self.strobes is not None and [strobe.pulse for strobe in self.strobes] == pulses
 
     def is_next(self, frame: CameraFrame, before: CameraFrame) -> bool:
-        """Whether nothing speaks against a frame being the next pulse's after another's."""
+        """Return whether nothing speaks against a frame being the next pulse's after another's."""
         if frame.device_time_s is not None and before.device_time_s is not None:
             step = (frame.device_time_s - before.device_time_s) / self.train.period_s
             return abs(step - 1) <= self.tolerance
@@ -123,7 +123,7 @@ class Evidence:
 
     @property
     def numbered(self) -> bool:
-        """Whether the camera's numbers and its counted exposures show that none is missing between two frames."""
+        """True if the camera's numbers and its counted exposures show that none is missing between two frames."""
         frames = self.frames if self.previous is None else (self.previous, *self.frames)
         return self.exposures_counted and all(frame.frame_id is not None for frame in frames)
 
@@ -153,7 +153,7 @@ def _trigger_faults(seen: Evidence) -> list[Fault]:
     restarted = seen.armed.boot != seen.ended.boot
     if restarted:
         found.append(Fault("trigger restarted", "the trigger source restarted in mid-burst: check its power supply"))
-    # It says why; that pulses are missing is what comes of it.
+    # It is the cause; missing pulses are the consequence.
     found += [Fault("trigger complains", f"the trigger source says: {line}") for line in seen.ended.complaints]
     n, asked, vsyncs = seen.ended.pulses, seen.train.count, seen.ended.vsyncs
     if not restarted and asked is not None and n not in (None, asked):
@@ -190,7 +190,7 @@ def _count_faults(seen: Evidence) -> list[Fault]:
 
 
 def _strobe_faults(seen: Evidence, n: int) -> list[Fault]:
-    """Return what the camera's exposures say, which are wired back."""
+    """Return the faults that the camera's exposures show, which are wired back."""
     with_exposure = {strobe.pulse for strobe in seen.strobes or ()}
     pulses = range(seen.first_pulse, seen.first_pulse + seen.count)
     without = [pulse for pulse in pulses if pulse not in with_exposure]
@@ -217,7 +217,7 @@ def _strobe_faults(seen: Evidence, n: int) -> list[Fault]:
 def _strobe_time_faults(seen: Evidence) -> list[Fault]:
     """Return which exposure did not follow its pulse as the others did theirs: something else made it."""
     delays_s = np.array([strobe.time_s - strobe.pulse * seen.train.period_s for strobe in seen.strobes or ()])
-    # A single one has no others: only bursts before tell.
+    # A single one has no others: only bursts before show it.
     usual_s = np.median(delays_s) if seen.strobe_delay_s is None else seen.strobe_delay_s
     off = np.abs(delays_s - usual_s) / seen.train.period_s
     for strobe, periods in zip(seen.strobes or (), off, strict=True):
@@ -228,7 +228,7 @@ def _strobe_time_faults(seen: Evidence) -> list[Fault]:
 
 
 def _first_gap(seen: Evidence) -> int | None:
-    """Return the pulse whose frame is the first that is missing; None: nothing tells."""
+    """Return the pulse whose frame is the first that is missing; None: unknown."""
     if not seen.frames:
         return seen.first_pulse
     steps = _steps(seen)
@@ -297,10 +297,10 @@ def _frame_faults(seen: Evidence) -> list[Fault]:
 
 
 def is_same_image(one: Levels | None, other: Levels | None) -> bool:
-    """Whether two frames are the same to the last bit, which noise keeps exposures from being."""
+    """Return whether two frames are the same to the last bit, which noise keeps exposures from being."""
     if one is None or other is None or one.shape != other.shape:
         return False
-    return np.array_equal(one[::32], other[::32]) and np.array_equal(one, other)  # some rows tell almost always
+    return np.array_equal(one[::32], other[::32]) and np.array_equal(one, other)  # some rows almost always suffice
 
 
 def _time_faults(seen: Evidence) -> list[Fault]:
@@ -322,7 +322,7 @@ def _time_faults(seen: Evidence) -> list[Fault]:
 
 
 def _arrival_faults(seen: Evidence, steps: Sequence[float | None]) -> list[Fault]:
-    """Return what the times of arrival say, where nothing better tells of a frame."""
+    """Return the faults that times of arrival show, where nothing better is known of a frame."""
     late_s = _late_s(seen)
     # Between pulses that run on, a frame whose distance from the one before is known needs no other proof.
     followed = [seen.previous is not None and (step is not None or seen.numbered) for step in steps]
@@ -354,7 +354,7 @@ def _arrival_faults(seen: Evidence, steps: Sequence[float | None]) -> list[Fault
 def _start_faults(seen: Evidence, steps: Sequence[float | None]) -> list[Fault]:
     """Say where pulses run on, and their frames are not theirs but another pulse's.
 
-    They are never counted up against frames. Where the camera's clock or its numbers tell, it is enough to look at the
+    They are never counted up against frames. Where the camera's clock or its numbers show it, it is enough to check the
     first one: the others follow it.
     """
     if seen.previous is not None and (None not in steps or seen.numbered):

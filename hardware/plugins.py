@@ -28,7 +28,7 @@ def announced(group: str) -> Mapping[str, tuple[Plugin, ...]]:
     return _announced(group, tuple(sys.path))
 
 
-@lru_cache(maxsize=8)  # reading takes some 10 ms for hundreds of packages
+@lru_cache(maxsize=8)  # reading takes about 10 ms for hundreds of packages
 def _announced(group: str, _path: tuple[str, ...]) -> Mapping[str, tuple[Plugin, ...]]:
     found: dict[str, tuple[Plugin, ...]] = {}
     # Folders are read in any order.
@@ -56,7 +56,7 @@ def plugin_of(group: str, name: str, built_in: Collection[str], error: type[Erro
 
 
 def load(key: str, plugin: Plugin, error: type[Error]) -> Any:
-    """Import an object; `key` says in messages what has named it.
+    """Import an object; `key` is what messages name as its source.
 
     Raises
     ------
@@ -64,19 +64,19 @@ def load(key: str, plugin: Plugin, error: type[Error]) -> Any:
         Of the given type: it cannot be imported, or is not there.
     """
     module_name, _, name = plugin.place.partition(":")
-    told = module_name if plugin.package is None else f"{module_name} of the package {plugin.package}"
+    source = module_name if plugin.package is None else f"{module_name} of the package {plugin.package}"
     cure = "correct it" if plugin.package is None else "update that package, or uninstall it"
     try:
         module = import_module(module_name)
     except Exception as fault:  # a user's module may raise anything
         if isinstance(fault, ModuleNotFoundError) and plugin.package is None:
             cure = "install it, or put its folder on PYTHONPATH"
-        raise error(f"{key}: {told} cannot be imported ({described(fault)}): {cure}") from fault
+        raise error(f"{key}: {source} cannot be imported ({described(fault)}): {cure}") from fault
     try:
         return attrgetter(name)(module)
     except AttributeError:
         file = getattr(module, "__file__", "built in")
-        raise error(f"{key}: {told} ({file}) has no {name or 'name after a colon'}: {cure}") from None
+        raise error(f"{key}: {source} ({file}) has no {name or 'name after a colon'}: {cure}") from None
 
 
 def described(error: Exception) -> str:

@@ -1,4 +1,4 @@
-"""What the rig asks of its instruments: whatever has these methods can take part."""
+"""Interfaces of the rig's instruments: whatever has these methods can take part."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ Levels = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 
 @dataclass(frozen=True)
 class Identity:
-    """What an instrument says it is."""
+    """Maker, model, serial number and firmware that an instrument reports."""
 
     maker: str
     model: str
@@ -27,14 +27,14 @@ class Identity:
 
 @dataclass(frozen=True)
 class TriggerStatus:
-    """What a trigger source says of the burst that was fired last; None: it does not count that."""
+    """A trigger source's report on the burst that was fired last; None: it does not count that."""
 
     running: bool
     pulses: int | None = None  # camera pulses that were begun
     strobes: int | None = None  # exposures that the camera reported back
     vsyncs: int | None = None  # pictures that the projector reported back
     boot: int | None = None  # another number after every restart
-    complaints: tuple[str, ...] = ()  # what it found wrong since it was armed, a sentence each
+    complaints: tuple[str, ...] = ()  # what it found wrong since it was armed, one sentence each
     clock_ppm: float | None = None  # by how much its clock is faster than this machine's; None: not known, or not yet
 
 
@@ -51,11 +51,11 @@ class Trigger(Protocol):
 
     @property
     def identity(self) -> Identity:
-        """What was found when it was opened."""
+        """Identity found when it was opened."""
 
     @property
     def limits(self) -> TriggerLimits:
-        """What it can do."""
+        """Limits of its pulses."""
 
     def configure(self, train: PulseTrain) -> PulseTrain:
         """Set the burst up, outputs low; return it as it will be, rounded to the tick. RigError: it is impossible."""
@@ -64,7 +64,7 @@ class Trigger(Protocol):
         """Get ready: counters at zero, and what was configured still there."""
 
     def fire(self) -> None:
-        """Start the burst. Never sent twice: where the answer is lost, the status tells."""
+        """Start the burst. Never sent twice: where the answer is lost, the status shows whether it started."""
 
     def status(self) -> TriggerStatus:
         """Return what became of the burst; harmless at any time."""
@@ -81,7 +81,7 @@ class Trigger(Protocol):
 
 @dataclass(frozen=True)
 class FrameFormat:
-    """How a camera's frames come: RGB as (H, W, 3), or a Bayer mosaic as (H, W); uint8 up to 8 bits, else uint16."""
+    """Format of a camera's frames: RGB as (H, W, 3), or a Bayer mosaic as (H, W); uint8 up to 8 bits, else uint16."""
 
     layout: Literal["rgb", "bayer"]
     bits: int = 8  # full scale is 2 ** bits - 1
@@ -99,14 +99,14 @@ class SensorPart:
 
 @dataclass(frozen=True)
 class CameraLimits:
-    """What a camera can do as it is set up."""
+    """Limits of a camera as it is set up."""
 
     size_px: tuple[int, int]
     format: FrameFormat
     exposure_s: tuple[float, float]  # shortest and longest
     min_period_s: float  # of frames at the present exposure, readout included
-    triggered: bool  # False: it takes frames when told to by software, some time later
-    sensor: SensorPart | None = None  # None: the camera does not say
+    triggered: bool  # False: it takes frames by software command, some time later
+    sensor: SensorPart | None = None  # None: the camera does not report it
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ class CameraFrame:
     host_time_s: float  # time.monotonic() when it arrived
     frame_id: int | None = None  # the camera's number, counting on where it wraps; None: it has none
     device_time_s: float | None = None  # by the camera's clock; None: it has none
-    temperature_c: float | None = None  # of the sensor, where it is told
+    temperature_c: float | None = None  # of the sensor, where it is reported
     triggers: int | None = None  # the camera's count of triggers, also of those it ignored, from when it was armed
     fault: str | None = None  # why it is not whole
 
@@ -127,11 +127,11 @@ class Camera(Protocol):
 
     @property
     def identity(self) -> Identity:
-        """What was found when it was opened."""
+        """Identity found when it was opened."""
 
     @property
     def limits(self) -> CameraLimits:
-        """What it can do as it is set up."""
+        """Limits as it is set up."""
 
     @property
     def exposure_s(self) -> float:
@@ -139,7 +139,7 @@ class Camera(Protocol):
 
     @property
     def unlocked(self) -> tuple[str, ...]:
-        """What it may still change by itself, or what could not be read back, a sentence each."""
+        """Settings that it may still change by itself, or that could not be read back, one sentence each."""
 
     def arm(self, count: int | None) -> None:
         """Get ready for `count` triggers (None: until disarmed), queues empty; return when it takes them."""
@@ -148,7 +148,7 @@ class Camera(Protocol):
         """Return the next frame in the order of their arrival, whole or not; None: none came in time."""
 
     def trigger(self) -> None:
-        """Take one frame now; only where the settings say trigger = "software"."""
+        """Take one frame now; only with trigger = "software" in the settings."""
 
     def disarm(self) -> None:
         """Stop; harmless at any time."""
@@ -162,26 +162,26 @@ PowerState = Literal["off", "warming up", "on", "cooling down"]
 
 @dataclass(frozen=True)
 class ProjectorStatus:
-    """What a projector says of itself; None: it does not tell, or not while it is off."""
+    """State that a projector reports; None: it does not report it, or not while it is off."""
 
     power: PowerState | None
     input: str | None = None  # as its manual numbers them
     blank: bool | None = None
     faults: tuple[str, ...] | None = None  # as "lamp: warning"
-    lamp_hours: tuple[int, ...] | None = None  # one a lamp; empty: it has none
+    lamp_hours: tuple[int, ...] | None = None  # one per lamp; empty: it has none
 
 
 class Projector(Protocol):
-    """What switches a projector. Every method but `power` returns or raises ProjectorError within seconds."""
+    """A projector's remote control. Every method but `power` returns or raises ProjectorError within seconds."""
 
     @property
     def identity(self) -> Identity:
-        """What was found when it was opened."""
+        """Identity found when it was opened."""
 
-    def power(self, on: bool, tell: Callable[[str], None]) -> bool:
-        """Switch it on or off and wait until it is, which may take minutes; `tell` hears what it is doing.
+    def power(self, on: bool, notify: Callable[[str], None]) -> bool:
+        """Switch it on or off and wait until it is, which may take minutes; `notify` is called with what it is doing.
 
-        False: the command is sent, but this projector does not tell whether it is on.
+        False: the command is sent, but this projector does not report whether it is on.
         """
 
     def input(self, source: str) -> None:

@@ -21,13 +21,13 @@ class Run:
     fired_at_s: tuple[float, float]  # time.monotonic() before and after the command, as far as clocks keep pace
     counted: Start | None  # the start of the burst before; None: it does not matter
     next_pulse: int = 0
-    strobes: list[Strobe] = field(default_factory=list)  # that were told, of pulses that are to be taken
-    n_strobes: int = 0  # that were told in all
+    strobes: list[Strobe] = field(default_factory=list)  # that were reported, of pulses that are to be taken
+    n_strobes: int = 0  # that were reported in all
     previous: CameraFrame | None = None  # the frame of the pulse before
-    ahead: list[CameraFrame] = field(default_factory=list)  # frames that came while those before them were in doubt
+    ahead: list[CameraFrame] = field(default_factory=list)  # frames that came while those before them were uncertain
 
     def take(self, frames: Sequence[CameraFrame]) -> None:
-        """Go on behind frames that were whole, by a start that keeps pace with this machine's clock."""
+        """Continue after frames that were whole, by a start that keeps pace with this machine's clock."""
         if self.counted is not None:
             most_s = CLOCK * len(frames) * self.train.period_s
             arrival_s = start_of(frames, self.next_pulse, self.train.period_s, self.fired_at_s).arrival_s
@@ -38,7 +38,7 @@ class Run:
 
 
 def repeats(frame: CameraFrame, before: CameraFrame | None) -> bool:
-    """Whether a frame was delivered twice: its number, its time and its image are those of the one before."""
+    """Return whether a frame was delivered twice: its number, its time and its image are those of the one before."""
     if before is None or frame.frame_id is None:
         return False
     if (frame.frame_id, frame.device_time_s) != (before.frame_id, before.device_time_s):
@@ -47,7 +47,7 @@ def repeats(frame: CameraFrame, before: CameraFrame | None) -> bool:
 
 
 def is_left_over(frame: CameraFrame, last: CameraFrame | None) -> bool:
-    """Whether a frame is one of the run before; numbers may begin anew with every run, times do not come again."""
+    """Return whether a frame is from the run before; numbers may begin anew with every run, times do not recur."""
     if last is None or (frame.frame_id, frame.device_time_s) != (last.frame_id, last.device_time_s):
         return False
     return is_same_image(frame.image, last.image)

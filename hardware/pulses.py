@@ -27,14 +27,14 @@ class PulseTrain:
 
 @dataclass(frozen=True)
 class TriggerLimits:
-    """What a trigger source can do; times are rounded to its tick."""
+    """Limits of a trigger source; times are rounded to its tick."""
 
     tick_s: float
     min_period_s: float
     max_period_s: float
     min_width_s: float
     min_gap_s: float  # between the end of an output's pulse and the start of its next
-    max_count: int  # pulses a burst
+    max_count: int  # pulses per burst
     counts_strobes: bool  # whether it sees the camera's exposures
     counts_vsyncs: bool  # whether it sees the projector's pictures
     jitter_s: float = 0.0  # how far off its time a pulse may come; below 10 us it does not matter

@@ -24,9 +24,9 @@ _log = logging.getLogger("colorphase.rig")
 TRIES = 3
 # How long a frame may take to us after its readout: USB and Ethernet repeat lost packets for a while.
 _TRANSPORT_S = 0.5
-# How often the trigger source is asked while pulses run; the box stops by itself after seconds without a question.
+# How often the trigger source is queried while pulses run; the box stops by itself after seconds without a query.
 _POLL_S = 0.25
-# How often it is asked for the end of a burst.
+# How often it is queried for the end of a burst.
 _SHORT_POLL_S = 0.01
 # While pulses run on, their counts are read up to so often until those of all that is wired back agree, at a different
 # place of the period each time: a picture is shown some time after its pulse.
@@ -40,16 +40,16 @@ _REOPEN_S = 5.0
 _LEAST_FOR_CLOCK = 5
 # Frames by which the rig learns which of two pictures the projector shows, and how frames follow their pulses.
 _SYNC_FRAMES = 4
-# Where only arrival tells how long a frame takes to us, two bursts must say the same to within this, in periods.
+# Where only arrival shows how long a frame takes to us, two bursts must agree to within this, in periods.
 _AGREEMENT = 0.25
 # Frames that are waited for, where those before them came late and may catch up.
 _AHEAD = 4
-# How often such a burst, or a start in doubt, is repeated.
+# How often such a burst, or an uncertain start, is repeated.
 _REPEATS = 5
 # Start commands by which the time that they take at least is known; and that are remembered.
 _LEAST_STARTS = 4
 _STARTS = 100
-# Pulses that run on are checked this many at a time at least: what exposed a single frame, no other frame tells.
+# Pulses that run on are checked this many at a time at least: no other frame shows what exposed a single one.
 _LEAST_RUNNING_ON = 2
 
 
@@ -72,7 +72,7 @@ class PairedFrame:
     image: Levels
     frame: CameraFrame  # as it arrived
     pulse_s: float  # when its camera pulse began, from the burst's start, by the trigger source's clock
-    strobe_s: float | None  # when the camera said that it was exposing, by that clock; None: it does not tell
+    strobe_s: float | None  # when the camera reported its exposure, by that clock; None: it does not
     exposed_at_s: float  # the same by this machine's time.monotonic(), to some milliseconds; of the middle colour
 
 
@@ -125,10 +125,10 @@ class Rig:
     Parameters
     ----------
     settings : RigSettings
-        What is wired to what, and when it is fired.
+        The wiring of the rig, and its times.
     open_instruments : callable
         Open trigger source and camera; called again after one was lost.
-    tell : callable, optional
+    notify : callable, optional
         Called with every run that is thrown away.
 
     Attributes
@@ -143,7 +143,7 @@ class Rig:
     TriggerError, CameraError
         An instrument cannot be reached, or is another one.
     RigError
-        What is asked for is impossible.
+        The request is impossible.
 
     Examples
     --------
@@ -163,16 +163,16 @@ class Rig:
         self,
         settings: RigSettings,
         open_instruments: Callable[[], tuple[Trigger, Camera]],
-        tell: Callable[[Rejected], None] = lambda rejected: None,
+        notify: Callable[[Rejected], None] = lambda rejected: None,
     ) -> None:
         self.settings = settings
         self._open_instruments = open_instruments
-        self._tell = tell
+        self._notify = notify
         self._is_open = False
         self._lost: Exception | None = None  # why instruments were let go of
         self._has_clock = True  # the camera's frames have times
         self._alternation = Alternation() if settings.projector.alternating else None
-        self._configured: tuple[PulseTrain, PulseTrain] | None = None  # as asked for, and as it is
+        self._configured: tuple[PulseTrain, PulseTrain] | None = None  # as requested, and as it is
         self._open()
         try:
             check_timing(settings, self.trigger, self.camera)
@@ -241,13 +241,13 @@ class Rig:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What cannot be seen or held with what is wired, a sentence each."""
+        """Faults that stay undetected with the present wiring, one sentence each."""
         notes = list(self.camera.unlocked)
         if not self.settings.trigger.strobe and not self._has_clock:
             notes.append(
-                "the camera tells no times and its exposures are not counted: frames are paired by their number and by "
-                "when they arrive; a trigger box with its exposure output wired back, and trigger.strobe = true, tells "
-                "more"
+                "the camera reports no times and its exposures are not counted: frames are paired by their number and "
+                "by when they arrive; a trigger box with its exposure output wired back, and trigger.strobe = true, "
+                "shows more"
             )
         return tuple(notes)
 
@@ -288,12 +288,12 @@ class Rig:
             found = error.faults
         else:
             found = (Fault("instrument failed", str(error)),)
-            if self._is_open:  # else it could not be opened again, and why it was let go of says more
+            if self._is_open:  # else it could not be opened again, and why it was let go of explains more
                 self._lost = error
             self.close()  # it may be lost: the next try opens it again, and sets it up anew
         self._stop()
         _log.warning("burst %d is thrown away, try %d of %d: %s", number, attempt, TRIES, found[0])
-        self._tell(Rejected(number, attempt, found))
+        self._notify(Rejected(number, attempt, found))
         if attempt == TRIES:
             if isinstance(error, _Refused):
                 raise BurstError(f"burst {number} was not whole in {TRIES} tries; {found[0]}") from None
@@ -313,7 +313,7 @@ class Rig:
         if not self._is_open:
             self._reopen()
         train = train_of(self.settings)
-        # What exposed a single frame, no other frame tells: when exposures come after their pulses is learned first.
+        # No other frame shows what exposed a single one: when exposures come after their pulses is learned first.
         is_lone = train.count == 1 and self.settings.trigger.strobe and self._strobe_delay_s is None
         if not endless and not is_lone and (self._alternation is None or self._alternation.known):
             return self._start(train)
@@ -430,7 +430,7 @@ class Rig:
         return Burst(number, tuple(paired), status, n_repeated, _camera_ppm(paired))
 
     def _check_start(self, late: Lateness, found: Sequence[Fault], *, ended: bool) -> None:
-        """Have a run fired again whose start is in doubt."""
+        """Have a run fired again whose start is uncertain."""
         learned = late.clock_restarted and not self._clock_restarts
         self._clock_restarts |= late.clock_restarted  # then it takes two bursts to know how late frames come
         # How late frames usually are may not be known yet.
@@ -482,7 +482,7 @@ class Rig:
                 n_repeated += 1
                 continue
             run.ahead.append(frame)
-            if not seen.is_next(frame, before):  # then those behind it tell nothing
+            if not seen.is_next(frame, before):  # then those after it show nothing
                 break
             seen = replace(seen, ahead=run.ahead)
             found = find_faults(seen)
@@ -491,7 +491,7 @@ class Rig:
         return seen, found, n_repeated
 
     def _one_exposure_each(self, run: Run, seen: Evidence) -> bool:
-        """Whether the pulses whose frames were waited for made an exposure each, and no other was made."""
+        """Return whether the pulses whose frames were waited for made an exposure each, and no other was made."""
         self._ask_for_exposures(run)
         first = seen.first_pulse + seen.count
         last = first + len(seen.ahead)
@@ -508,7 +508,7 @@ class Rig:
         return n_repeated
 
     def _is_new(self, frame: CameraFrame, before: CameraFrame | None) -> bool:
-        """Whether a frame was not delivered before: in this run, or in the one before this."""
+        """Return whether a frame was not delivered before: in this run, or in the one before this."""
         last, self._last = self._last, frame
         return not repeats(frame, before) and not (before is None and is_left_over(frame, last))
 
@@ -523,9 +523,9 @@ class Rig:
         return taken
 
     def _ask_for_exposures(self, run: Run) -> None:
-        told = self.trigger.strobes()
-        run.n_strobes += len(told)
-        run.strobes += told
+        strobes = self.trigger.strobes()
+        run.n_strobes += len(strobes)
+        run.strobes += strobes
 
     def _settled(self, run: Run, last: int) -> TriggerStatus:
         """Return the trigger source's status once a burst has ended."""
@@ -548,7 +548,7 @@ class Rig:
             time.sleep(_SHORT_POLL_S)
 
     def _may_be_reported(self, status: TriggerStatus) -> bool:
-        """Whether the last pulse's exposure or picture is missing, as both are for some time in every period."""
+        """Return whether the last pulse's exposure or picture is missing, as both are for some time in every period."""
         wired = self.settings.trigger
         counts = [status.strobes] * wired.strobe + [status.vsyncs] * (wired.vsync == "per-pulse")
         off = [abs(status.pulses - count) for count in counts if count is not None and status.pulses is not None]

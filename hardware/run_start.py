@@ -1,4 +1,4 @@
-"""Whether the first frame of pulses that run on is the first pulse's: if it is not, none is missing between the others.
+"""Check that the first frame of pulses that run on is the first pulse's: if not, none is missing between the others.
 
 A burst just before, counted up frame by frame, shows how frames follow pulses. What is compared with it, best first:
 the camera's count of triggers, the camera's clock, the camera's numbers where exposures are counted besides, and only
@@ -24,12 +24,12 @@ _MARGIN = 0.05
 
 @dataclass(frozen=True)
 class Start:
-    """How the frames of a run follow its pulses; the camera's clock has an origin of its own."""
+    """Times at which the frames of a run follow its pulses; the camera's clock has an origin of its own."""
 
     arrival_s: float  # the shortest time from a pulse to its frame's arrival, from before the start command
     device_s: float | None  # the same by the camera's clock; None: it has none
     frame_ids: tuple[int, int] | None  # of the first frame and the last one; None: they have no numbers
-    triggers: int | None  # the camera's count at the first pulse's frame; None: it does not tell
+    triggers: int | None  # the camera's count at the first pulse's frame; None: it does not report it
     fire_s: float  # how long the start command took: pulses began somewhere in it
 
 
@@ -39,8 +39,8 @@ class Lateness:
 
     periods: float
     in_doubt: bool = False  # slow start commands may be all there is to it, or hide a lost trigger
-    by_arrival: bool = False  # nothing else tells: this machine may have been slow to take them
-    clock_restarted: bool = False  # the camera's clock was set to zero since, and tells nothing
+    by_arrival: bool = False  # there is no other evidence: this machine may have been slow to take them
+    clock_restarted: bool = False  # the camera's clock was set to zero since, and shows nothing
 
 
 def start_of(
@@ -75,7 +75,7 @@ def lateness(now: Start, counted: Start, period_s: float, quickest_s: float, *, 
     quickest_s : float
         The least time that a start command has taken.
     exposures_counted : bool
-        Whether every pulse is known to have made one exposure, and only frames may be missing.
+        True if every pulse is known to have made one exposure, and only frames may be missing.
     """
     if now.triggers is not None and counted.triggers is not None:
         if now.triggers != counted.triggers:

@@ -20,7 +20,7 @@ NonNegative = Annotated[float, Field(ge=0, le=_LONGEST_S)]
 _MOST_GAIN_DB = 100.0
 # What instruments and their libraries count in.
 Count = Annotated[int, Field(ge=1, lt=2**31)]
-# The largest area sensors have sides of some 19,000 px.
+# The largest area sensors have sides of about 19,000 px.
 _Side = Annotated[int, Field(ge=1, le=2**15)]
 _OWN_DRIVER = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*")  # module:Class
 
@@ -56,7 +56,7 @@ class _Section(Model):
 
 
 class TriggerSettings(_Section):
-    """Where the pulses come from."""
+    """The source of the pulses."""
 
     driver: Annotated[str, _Driver("colorphase.triggers", (SOFTWARE, SIMULATED))]
     """A name in `hardware.drivers`, one that an installed package announces, or ``module:Class``. "software": this
@@ -64,33 +64,33 @@ class TriggerSettings(_Section):
     port: str | None = None
     """A serial device, as /dev/ttyUSB0 or COM3, or a pyserial URL, as socket://10.0.0.5:5025."""
     baud: Count | None = None
-    """Bits a second; None: the instrument's usual ones are tried."""
+    """Bits per second; None: the instrument's usual ones are tried."""
     projector_output: Literal["A", "B", "C", "D"] | None = None
-    """Which output goes to the projector, of an instrument that leaves the choice; None: the first."""
+    """Output that goes to the projector, of an instrument that leaves the choice; None: the first."""
     camera_output: Literal["A", "B", "C", "D"] | None = None
-    """Which one goes to the camera; None: the second."""
+    """Output that goes to the camera; None: the second."""
     strobe: bool = False
-    """Whether the camera's exposure output is wired to the trigger source, which then counts exposures."""
+    """True if the camera's exposure output is wired to the trigger source, which then counts exposures."""
     vsync: Literal["free-running", "per-pulse"] | None = None
-    """Whether the projector's sync output is wired to the trigger source, which then counts its pictures: it shows
-    them at a rate of its own ("free-running"), or one to every pulse ("per-pulse"), so that a lost one is seen."""
+    """Set if the projector's sync output is wired to the trigger source, which then counts its pictures: it shows them
+    at a rate of its own ("free-running"), or one to every pulse ("per-pulse"), so that a lost one is seen."""
 
 
 class TimingSettings(_Section):
-    """When they come."""
+    """Times of the pulses."""
 
     period_s: Positive
     """From one pulse, and so frame, to the next; no shorter than the camera's exposure and readout."""
     frames: Count = 1
-    """Pulses, and so frames, a burst."""
+    """Pulses, and so frames, per burst."""
     projector_delay_s: NonNegative = 0.0
     """From the start of each period to the projector's pulse."""
     projector_width_s: Positive = 100e-6
-    """How long the projector's pulse is."""
+    """Length of the projector's pulse."""
     camera_delay_s: NonNegative = 0.0
     """From the start of each period to the camera's pulse."""
     camera_width_s: Positive = 100e-6
-    """How long the camera's pulse is."""
+    """Length of the camera's pulse."""
 
 
 class CameraSettings(_Section):
@@ -102,8 +102,7 @@ class CameraSettings(_Section):
     """Its serial number, or for opencv its number; None: the only one there. A simulated one may be
     a "webcam", or see a "ball"."""
     exposure_s: Positive
-    """How long each frame is exposed; a whole number of colour cycles where the projector shows colours one after
-    another."""
+    """Exposure of each frame; a whole number of colour cycles where the projector shows colours one after another."""
     row_s: NonNegative = 0.0
     """From one row's exposure to the next one's, of a rolling shutter (data sheets: line time); 0: a global one, or not
     known."""
@@ -116,7 +115,7 @@ class CameraSettings(_Section):
     trigger: str = "Line1"
     """The line that the trigger source is wired to, or "software"."""
     strobe_line: str | None = None
-    """The line that is to tell of exposures, as Line2; None: none."""
+    """The line that reports exposures, as Line2; None: none."""
 
     @model_validator(mode="after")
     def _check(self) -> "CameraSettings":
@@ -127,7 +126,7 @@ class CameraSettings(_Section):
 
 
 class FieldSettings(_Section):
-    """When a projector that shows its colours one after another has each of them on, and off again."""
+    """Times at which a projector that shows its colours one after another switches each of them on and off."""
 
     red_s: tuple[NonNegative, NonNegative]
     """From when to when red is on, after the start of a colour cycle."""
@@ -136,7 +135,7 @@ class FieldSettings(_Section):
     blue_s: tuple[NonNegative, NonNegative]
     """From when to when blue is on."""
     locked: bool = False
-    """Whether a trigger starts every exposure together with a cycle. False: the camera runs freely, and decoding finds
+    """True if a trigger starts every exposure together with a cycle. False: the camera runs freely, and decoding finds
     where in the cycle each exposure began."""
 
 
@@ -147,12 +146,12 @@ class ProjectorSettings(_Section):
     """The number of its display, as `colorphase devices` lists them: this program then shows the pattern on it; None:
     something else shows it."""
     colour_cycle_s: Positive | None = None
-    """How long R, G and B take together, where the projector shows them one after another; None: it does not."""
+    """Time that R, G and B take together, where the projector shows them one after another; None: it does not."""
     fields: FieldSettings | None = None
-    """When each of them is on, as its data sheet says; None: not known."""
+    """Times at which each of them is on, by its data sheet; None: not known."""
     control: Annotated[str, _Driver("colorphase.projectors")] | None = None
-    """What switches it on: a name in `hardware.drivers`, one that an installed package announces, or ``module:Class``;
-    None: somebody does."""
+    """Driver that switches it on: a name in `hardware.drivers`, one that an installed package announces, or
+    ``module:Class``; None: somebody does."""
     port: str | None = None
     """A serial device, or a URL such as socket://10.0.0.6:4352."""
     baud: Count | None = None
@@ -160,7 +159,7 @@ class ProjectorSettings(_Section):
     password: str | None = None
     """PJLink's, where one is set; None: none. It is kept out of logs."""
     alternating: bool = False
-    """Whether each projector pulse shows the other of two pictures, the second one dimmer (`colorphase pattern
+    """True if each projector pulse shows the other of two pictures, the second one dimmer (`colorphase pattern
     --brightness 0.85`), so that a lost projector pulse is seen in the frames. Without, it goes unnoticed."""
 
     @model_validator(mode="after")
@@ -187,4 +186,4 @@ class RigSettings(_Section):
     camera: CameraSettings
     projector: ProjectorSettings = ProjectorSettings()
     calibration: str | None = None
-    """The rig's calibration.json, beside this file."""
+    """The rig's calibration.json, next to this file."""

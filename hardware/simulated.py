@@ -45,11 +45,11 @@ _READOUT_S = 2e-3
 # Frames that wait in the camera's driver to be taken; those that find it full are lost, as they are in real ones.
 _BUFFERS = 128
 _NOTHING_SET_UP = "the simulated trigger has no burst to make: configure it first"
-# How long a thread that was told to stop may take.
+# How long a thread may take to stop.
 _STOP_S = 5.0
 
 
-# What is seen where nobody renders a scene: fringes of this many px a cycle, dimmer in picture 1.
+# What is seen where nobody renders a scene: fringes of this many px per cycle, dimmer in picture 1.
 _SIZE_PX = (640, 480)
 _PERIOD_PX = 16.0
 
@@ -172,7 +172,7 @@ class MemoryCamera:
     format : FrameFormat
         Theirs.
     exposure_s, readout_s : float
-        How long it cannot be triggered again; a pulse that comes before is lost unnoticed, as with real ones.
+        Time in which it cannot be triggered again; a pulse that comes before is lost unnoticed, as with real ones.
     strobe : callable
         Its exposure output.
     """

@@ -1,4 +1,4 @@
-"""When a rig's pulses come, and whether trigger source and camera can keep up with them."""
+"""Times of a rig's pulses, and checks that trigger source and camera can keep up with them."""
 
 from hardware.colour_cycle import check_exposure
 from hardware.drivers import SOFTWARE
@@ -9,7 +9,7 @@ from hardware.settings import RigSettings
 
 
 def train_of(settings: RigSettings) -> PulseTrain:
-    """Return the burst that a rig's file asks for."""
+    """Return the burst that a rig's file specifies."""
     timing = settings.timing
     return PulseTrain(
         period_s=timing.period_s,
@@ -42,6 +42,6 @@ def check_timing(settings: RigSettings, trigger: Trigger, camera: Camera) -> Non
     if settings.trigger.vsync and not trigger.limits.counts_vsyncs:
         raise RigError(f"{trigger.identity} counts no pictures: leave trigger.vsync away")
     if projector.alternating and timing.frames < 2:
-        raise RigError("alternating pictures are told apart by two frames or more: make timing.frames 2 or more")
+        raise RigError("alternating pictures are distinguished by two frames or more: make timing.frames 2 or more")
     if projector.alternating and timing.camera_delay_s < timing.projector_delay_s:
         raise RigError("the camera would expose before the projector's pulse: make timing.camera_delay_s longer")

@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 # Importing must print nothing; both languages greet on import otherwise.
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "False")
 os.environ.setdefault("ENABLE_QUADRANTS_HEADER_PRINT", "False")
-# Once a day Taichi would send its makers' server a number that tells this machine, to hear of new versions.
+# Once a day Taichi would send its makers' server a number that identifies this machine, to check for new versions.
 os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
 
 
 def _is_usable(folder: str) -> bool:
-    """Whether a folder is there, which may be read-only, or can be made."""
+    """Return whether a folder exists, even read-only, or can be made."""
     with contextlib.suppress(OSError):
         os.makedirs(folder, exist_ok=True)
         return os.access(folder, os.R_OK | os.X_OK)
@@ -52,7 +52,7 @@ def _provide_cache(name: str) -> bool:
     prefix = "ti" if name == "taichi" else "qd"
     variable = f"{prefix}_offline_cache_file_path".upper()
     home = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.environ.get("HOME", ""), ".cache")
-    if not os.path.isabs(home):  # kernels are programs, and not to come from the folder that somebody stands in
+    if not os.path.isabs(home):  # kernels are programs, and must not come from the current folder
         home = ""
     folder = os.environ.get(variable) or (home and os.path.join(home, name, f"{prefix}cache"))
     stays = bool(folder) and _is_usable(str(folder))

@@ -114,7 +114,7 @@ def on_host(name: str, array: object) -> object:
         kind = int(place()[0])
         if kind in _HOST:
             try:
-                # NumPy's stubs ask for more of the protocol than NumPy does.
+                # NumPy's stubs require more of the protocol than NumPy does.
                 looked_at: npt.NDArray[np.generic] = np.from_dlpack(array)  # type: ignore[arg-type]
                 return looked_at
             except (BufferError, TypeError, RuntimeError, ValueError) as error:

@@ -1,6 +1,6 @@
 """The compiled kernels that Taichi keeps on the disk: one process at a time reads or writes the list of them.
 
-Taichi locks the list by a file beside it. Where another process holds that for longer than a quarter of a second, it
+Taichi locks the list by a file next to it. Where another process holds that for longer than a quarter of a second, it
 compiles all its kernels, which takes a minute, and keeps none; yet to write fifty of them takes as long. And the file
 of a process that was killed meanwhile stays for ever. So processes take turns by a lock that ends with them, and what
 one of them has left is removed.

@@ -16,7 +16,7 @@ _CAREFULLY = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 
 
 def open_lock(path: str | os.PathLike[str]) -> int:
-    """Open the file of a lock, or make it; what has its name may come from a stranger.
+    """Open the file of a lock, or make it; a file of that name may be another user's.
 
     Returns
     -------

@@ -1,7 +1,7 @@
 """Lanes: sixteen pixels of a row side by side, which a CPU loads, computes and stores at once.
 
 Taichi's compiler takes an array's elements one by one: before every store it reads the array's address again, for it
-cannot know that the last store has not changed it. Of an array of vectors it stores a whole one, if it is told to keep
+cannot know that the last store has not changed it. Of an array of vectors it stores a whole one, if it is set to keep
 vectors (`kernel(whole_vectors=True)`): what does little but load and store takes a fifth of its time, smoothing three
 quarters, and machine code is made in a tenth. So where a row is a whole number of vectors, and begins where one may
 begin, kernels see it as such; others are copied:
@@ -52,7 +52,7 @@ Rows: TypeAlias = F32 | I32 | U8
 
 @dataclass(frozen=True, eq=False)
 class Lanes:
-    """What a thread works on at once, for the kernel's factory: vectors of this many pixels."""
+    """Pixels that a thread processes at once, for the kernel's factory: vectors of this many."""
 
     count: int
     floats: Any
@@ -80,7 +80,7 @@ def planes(wide: bool, kind: object = ti.f32, ndim: int = 2) -> Any:
 
 
 def in_vectors(*arrays: Rows) -> bool:
-    """Whether all rows of these (..., H, W) arrays are whole numbers of vectors; those of a GPU are not."""
+    """Return whether all rows of these (..., H, W) arrays are multiples of a vector; those of a GPU are not."""
     return all(
         isinstance(array, np.ndarray) and array.shape[-1] % LANES == 0 and array.ctypes.data % VECTOR_BYTES == 0
         for array in arrays

@@ -55,9 +55,9 @@ def kernel(
     function : callable
         In the kernel language.
     whole_vectors : bool
-        Whether the CPU loads and stores the vectors of arrays of such as a whole; see `lanes.py`.
+        True if the CPU loads and stores the vectors of arrays of such as a whole; see `lanes.py`.
     flow_analysis : bool
-        Whether Taichi follows stores to loads for the CPU, before LLVM does it again. That takes 45 % of compiling, and
+        True if Taichi follows stores to loads for the CPU, before LLVM does it again. That takes 45 % of compiling, and
         the kernel runs no faster; but without it LLVM cannot compile every kernel.
     """
     if function is None:
@@ -140,7 +140,7 @@ def _kernel(function: Function, compiling: "_Compiling") -> Function:
 
 @dataclass(frozen=True)
 class _Compiling:
-    """How a kernel is compiled; see `kernel`."""
+    """Compilation options of a kernel; see `kernel`."""
 
     whole_vectors: bool
     flow_analysis: bool
@@ -177,7 +177,7 @@ def constant(array: npt.NDArray[Number]) -> npt.NDArray[Number]:
 
 
 def is_constant(array: object) -> bool:
-    """Whether an array was declared to be constant."""
+    """Return whether an array was declared to be constant."""
     known = _constants.get(id(array))
     return known is not None and known[0]() is array
 

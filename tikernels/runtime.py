@@ -54,7 +54,7 @@ _cuda: "_CudaContext | None" = None
 
 
 class _CudaContext:
-    """The CUDA context of the thread that starts the device. Taichi allocates in that of the thread that asks."""
+    """The CUDA context of the thread that starts the device. Taichi allocates in that of the calling thread."""
 
     def __init__(self) -> None:
         self._driver = ctypes.CDLL("nvcuda.dll" if os.name == "nt" else "libcuda.so.1")
@@ -85,7 +85,7 @@ def init(arch: str = "auto", *, cpu_threads: int | None = None) -> str:
     arch : {"auto", "cpu", "vulkan", "cuda", "metal"}
         "auto" takes the first of CUDA, Metal, Vulkan on real hardware, and the CPU. A named one never falls back.
     cpu_threads : int, optional
-        How many threads share a kernel on the CPU; left out, one for each core. The environment variable
+        Number of threads that share a kernel on the CPU; left out, one for each core. The environment variable
         TI_CPU_MAX_NUM_THREADS goes before it.
 
     Returns
@@ -206,7 +206,7 @@ def require(arch: str) -> None:
 
 
 def is_started() -> bool:
-    """Whether `init` has started a device."""
+    """Return whether `init` has started a device."""
     return _started is not None
 
 
@@ -239,7 +239,7 @@ def vulkan_devices() -> list[VulkanDevice]:
     loader = _load_vulkan()
     if loader is None:
         return []
-    # VkInstanceCreateInfo: sType = 1, then nothing asked for; portability drivers (macOS) are left to Metal.
+    # VkInstanceCreateInfo: sType = 1, then nothing requested; portability drivers (macOS) are left to Metal.
     create_info = (ctypes.c_uint64 * 8)(1)
     instance = ctypes.c_void_p()
     if loader.vkCreateInstance(create_info, None, ctypes.byref(instance)) != 0:
@@ -313,12 +313,12 @@ def to_host(buffer: Array[E]) -> npt.NDArray[E]:
 
 
 def is_device_array(array: object) -> TypeGuard[DeviceArray[np.generic]]:
-    """Whether this is an ndarray of the kernel language."""
+    """Return whether this is an ndarray of the kernel language."""
     return isinstance(array, ti.Ndarray)
 
 
 def has_dtype(buffer: DeviceArray[E], dtypes: Sequence[type[np.generic]]) -> bool:
-    """Whether a device ndarray's element type is one of NumPy's."""
+    """Return whether a device ndarray's element type is one of NumPy's."""
     return any(DEVICE_TYPES.get(dtype.__name__) == buffer.element_type for dtype in dtypes)
 
 
@@ -337,7 +337,7 @@ def synchronize() -> None:
 def _start(arch: str, cpu_threads: int | None) -> str | None:
     """Start one arch; the reason where it cannot be."""
     if arch == "vulkan" and not vulkan_devices():
-        return "vulkan: no driver"  # asked first because the runtime writes to stderr before it gives up
+        return "vulkan: no driver"  # checked first because the runtime writes to stderr before it gives up
     if (fault := _environment_fault(arch)) is not None:
         return fault
     threads: dict[str, int] = {}

@@ -23,7 +23,7 @@ row and column of every single pixel would cost a division, by which they take h
 from tikernels._taichi import Static, i32, ti, vec3
 from tikernels.lanes import LANES
 
-#: Pixels of a strip where nothing asks for another length.
+#: Pixels of a strip where nothing needs another length.
 STRIP = 32
 #: The CPU gives a thread 512 iterations of a parallel loop or more: of 600 strips one of two threads did nearly all. So
 #: loops over a few hundred strips have as many iterations for each, of which the first one works.

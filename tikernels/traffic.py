@@ -1,7 +1,7 @@
-"""What kernels ask of a device: calls, copies each way, and what the host waits for.
+"""Count a device's work: calls, copies each way, and the host's waits.
 
 On the CPU buffers are NumPy arrays, which nobody copies, and only calls are counted. On a GPU every NumPy array that is
-handed to a kernel is copied there, and the host waits until what the kernel writes to one has come back.
+passed to a kernel is copied there, and the host waits until what the kernel writes to one has come back.
 """
 
 from collections.abc import Iterable
@@ -25,7 +25,7 @@ class Traffic:
     read_bytes: int = 0
     """From the device, by reads."""
     on_device: bool = False
-    """Whether buffers lie on a GPU."""
+    """True if buffers are on a GPU."""
 
     def clear(self) -> None:
         """Begin to count anew."""

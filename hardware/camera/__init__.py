@@ -32,14 +32,14 @@ def open_camera(settings: CameraSettings) -> Camera:
     Parameters
     ----------
     settings : CameraSettings
-        Which camera, and what is fixed in it.
+        The camera, and what is fixed in it.
 
     Raises
     ------
     CameraError
         Its library is not installed, the camera is not there, in use, or refuses.
     RigError
-        The settings ask for what this camera cannot do, name a driver that is not there, or the simulated one, which
+        The settings request what this camera cannot do, name a driver that is not there, or the simulated one, which
         only a simulated rig has.
     """
     if settings.driver == SIMULATED:

@@ -58,7 +58,7 @@ class AravisCamera(OpenedCamera):
     CameraError
         Aravis is not installed, the camera is not there, in use, or refuses.
     RigError
-        The settings ask for what this camera cannot do.
+        The settings request what this camera cannot do.
     """
 
     def __init__(self, settings: CameraSettings) -> None:
@@ -69,13 +69,13 @@ class AravisCamera(OpenedCamera):
         device_id, self._identity = found[choose(settings.serial, [(one.serial, one.model) for _, one in found])]
         self._camera = self._device = self._stream = self._chunks = 0
         try:
-            with self._told("cannot be opened"):
+            with self._camera_errors("cannot be opened"):
                 self._device = self._aravis.arv_open_device(device_id.encode())
                 self._camera = self._aravis.arv_camera_new_with_device(self._device)
             is_gige = self._aravis.is_a(self._device, "gv_device")
             if is_gige and not self._aravis.arv_gv_device_is_controller(self._device):
                 raise CameraError(f"camera {self._identity.serial} is in use: close the other program")
-            with self._told("refuses"):
+            with self._camera_errors("refuses"):
                 self._features = _AravisFeatures(self._device)
                 self._setup = set_up(self._features, settings)
                 self._counter = TriggerCounter(self._features, settings.trigger)
@@ -97,7 +97,7 @@ class AravisCamera(OpenedCamera):
         self.disarm()
         if not self._camera:
             raise CameraError(f"camera {self._identity.serial} is closed")
-        with self._told("cannot be armed"):
+        with self._camera_errors("cannot be armed"):
             self._temperature_c = sensor_temperature_c(self._features)
             self._numbers = FrameNumbers()
             self._counter.start()
@@ -119,18 +119,18 @@ class AravisCamera(OpenedCamera):
                 return self._frame_of(buffer, host_time_s)
             finally:
                 self._give(buffer)
-        # Whoever waits in vain wants to know whether it is still there: the first register of any camera tells.
-        with self._told("is gone; look for its power and its cable"):
+        # Whoever waits in vain wants to know whether it is still there: the first register of any camera shows it.
+        with self._camera_errors("is gone; look for its power and its cable"):
             self._aravis.arv_device_read_memory(self._device, 0, 4, ctypes.byref(ctypes.c_uint32()))
         return None
 
     def trigger(self) -> None:
-        """Take one frame as soon as it can; only where the settings say trigger = "software"."""
+        """Take one frame as soon as it can; only with trigger = "software" in the settings."""
         if not self._by_software:
             raise RigError('the camera waits for a line: set trigger = "software" to trigger it from here')
         if not self._stream:
             raise CameraError(f"camera {self._identity.serial} is not armed")
-        with self._told("cannot be triggered"):
+        with self._camera_errors("cannot be triggered"):
             wait_until_ready(self._features, self.exposure_s)
             self._features.execute("TriggerSoftware")
 
@@ -140,7 +140,7 @@ class AravisCamera(OpenedCamera):
             return
         stream, self._stream = self._stream, 0
         try:
-            with self._told("cannot be stopped"):
+            with self._camera_errors("cannot be stopped"):
                 self._aravis.arv_camera_stop_acquisition(self._camera)
         finally:
             # With it go its thread and its buffers.
@@ -204,7 +204,7 @@ class AravisCamera(OpenedCamera):
         return None
 
     @contextmanager
-    def _told(self, what: str) -> Iterator[None]:
+    def _camera_errors(self, what: str) -> Iterator[None]:
         try:
             yield
         except CameraError as error:

@@ -1,4 +1,4 @@
-"""What is used of libaravis, with its types: the C library itself, so that it works in any virtual environment.
+"""Used parts of libaravis, with their types: the C library itself, so that it works in any virtual environment.
 
 Aravis's usual Python bindings are PyGObject's: that has no wheels, so only the system's own Python finds it.
 """
@@ -89,7 +89,7 @@ class _Error(ctypes.Structure):
 
 
 class Aravis:
-    """The library's functions by their names; those that fail raise CameraError with what they say."""
+    """The library's functions by their names; those that fail raise CameraError with their message."""
 
     def __init__(self, library: ctypes.CDLL) -> None:
         self._library = library
@@ -103,7 +103,7 @@ class Aravis:
             raise AttributeError(name) from None
 
     def is_a(self, instance: int, kind: str) -> bool:
-        """Whether an object is of a class or has an interface, as "gc_float"."""
+        """Return whether an object is of a class or has an interface, as "gc_float"."""
         return bool(self.g_type_check_instance_is_a(instance, getattr(self, f"arv_{kind}_get_type")()))
 
     def _typed(self, name: str, result: Any, arguments: tuple[Any, ...]) -> Callable[..., Any]:

@@ -40,7 +40,7 @@ def list_basler_cameras() -> list[Identity]:
         pypylon is not installed, or fails.
     """
     pylon, genicam = _libraries()
-    with _told(genicam, "pylon finds no cameras"):
+    with _camera_errors(genicam, "pylon finds no cameras"):
         return [_identity(info) for info in pylon.TlFactory.GetInstance().EnumerateDevices()]
 
 
@@ -52,30 +52,30 @@ class BaslerCamera(OpenedCamera):
     CameraError
         pypylon is not installed, the camera is not there, in use, or refuses.
     RigError
-        The settings ask for what this camera cannot do.
+        The settings request what this camera cannot do.
     """
 
     def __init__(self, settings: CameraSettings) -> None:
         self._pylon, self._genicam = _libraries()
         self._by_software = settings.trigger == "software"
         factory = self._pylon.TlFactory.GetInstance()
-        with _told(self._genicam, "pylon finds no cameras"):
+        with _camera_errors(self._genicam, "pylon finds no cameras"):
             found = list(factory.EnumerateDevices())
         info = found[choose(settings.serial, [(_identity(one).serial, _identity(one).model) for one in found])]
         self._identity = _identity(info)
-        # Network cameras count from 1, and 0 says that there is no number; USB counts from 0.
+        # Network cameras count from 1, and 0 means that there is no number; USB counts from 0.
         self._from_one = info.GetDeviceClass() == "BaslerGigE"
         self._open = False
-        with self._told("cannot be opened; close what else uses it"):
+        with self._camera_errors("cannot be opened; close what else uses it"):
             self._camera = self._pylon.InstantCamera(factory.CreateDevice(info))
             self._camera.Open()
         self._open = True
         try:
-            with self._told("refuses"):
+            with self._camera_errors("refuses"):
                 self._features = _PylonFeatures(self._genicam, self._camera.GetNodeMap())
                 self._setup = set_up(self._features, settings)
                 self._counter = TriggerCounter(self._features, settings.trigger)
-                # Network cameras say how fast they count; USB ones count nanoseconds.
+                # Network cameras report how fast they count; USB ones count nanoseconds.
                 rate = "GevTimestampTickFrequency"
                 self._tick_s = 1 / float(self._features.get(rate)) if self._features.has(rate) else 1e-9
         except BaseException:
@@ -86,10 +86,10 @@ class BaslerCamera(OpenedCamera):
 
     def arm(self, count: int | None) -> None:
         """Get ready for `count` triggers (None: until disarmed), queues empty; return when it takes them."""
-        if not self._open:  # its features are gone, and asking them crashes
+        if not self._open:  # its features are gone, and reading them crashes
             raise CameraError(f"camera {self._identity.serial} is closed")
         self.disarm()
-        with self._told("cannot be armed"):
+        with self._camera_errors("cannot be armed"):
             self._temperature_c = sensor_temperature_c(self._features)
             self._numbers = FrameNumbers()
             self._camera.MaxNumBuffer.Value = buffers_for(count, frame_bytes(self.limits))
@@ -100,7 +100,7 @@ class BaslerCamera(OpenedCamera):
 
     def frame(self, timeout_s: float) -> CameraFrame | None:
         """Return the next frame in the order of their arrival, whole or not; None: none came in time."""
-        with self._told("gives no frames; look for its power and its cable"):
+        with self._camera_errors("gives no frames; look for its power and its cable"):
             if not self._open or not self._camera.IsGrabbing():
                 raise CameraError(f"camera {self._identity.serial} is not armed")
             # Its own RetrieveResult was seen to wait for ever with a timeout of 0.2 s; this keeps it.
@@ -114,10 +114,10 @@ class BaslerCamera(OpenedCamera):
         return None
 
     def trigger(self) -> None:
-        """Take one frame as soon as it can; only where the settings say trigger = "software"."""
+        """Take one frame as soon as it can; only with trigger = "software" in the settings."""
         if not self._by_software:
             raise RigError('the camera waits for a line: set trigger = "software" to trigger it from here')
-        with self._told("cannot be triggered"):
+        with self._camera_errors("cannot be triggered"):
             if not self._open or not self._camera.IsGrabbing():
                 raise CameraError(f"camera {self._identity.serial} is not armed")
             wait_until_ready(self._features, self.exposure_s)
@@ -126,7 +126,7 @@ class BaslerCamera(OpenedCamera):
     def disarm(self) -> None:
         """Stop; harmless at any time."""
         if self._open:
-            with self._told("cannot be stopped"):
+            with self._camera_errors("cannot be stopped"):
                 self._camera.StopGrabbing()
 
     def close(self) -> None:
@@ -172,8 +172,8 @@ class BaslerCamera(OpenedCamera):
         node = result.GetChunkDataNodeMap().GetNode(self._counter.chunk)
         return int(node.Value) if self._genicam.IsReadable(node) else None
 
-    def _told(self, what: str) -> AbstractContextManager[None]:
-        return _told(self._genicam, f"camera {self._identity.serial} {what}")
+    def _camera_errors(self, what: str) -> AbstractContextManager[None]:
+        return _camera_errors(self._genicam, f"camera {self._identity.serial} {what}")
 
 
 class _PylonFeatures:
@@ -187,32 +187,32 @@ class _PylonFeatures:
         return bool(self._genicam.IsAvailable(self._map.GetNode(name)))
 
     def get(self, name: str) -> Value:
-        with _told(self._genicam, f"{name} cannot be read"):
+        with _camera_errors(self._genicam, f"{name} cannot be read"):
             value: Value = self._map.GetNode(name).Value
             return value
 
     def set(self, name: str, value: Value) -> None:
-        with _told(self._genicam, f"{name} cannot be set to {value}"):
+        with _camera_errors(self._genicam, f"{name} cannot be set to {value}"):
             node = self._map.GetNode(name)
             if isinstance(value, str) != isinstance(node.Value, str):
                 raise CameraError(f"{name} cannot be set to {value}: it is {node.Value}")
             node.Value = type(node.Value)(value)
 
     def execute(self, name: str) -> None:
-        with _told(self._genicam, f"{name} is refused"):
+        with _camera_errors(self._genicam, f"{name} is refused"):
             self._map.GetNode(name).Execute()
 
     def options(self, name: str) -> tuple[str, ...]:
-        with _told(self._genicam, f"{name} cannot be read"):
+        with _camera_errors(self._genicam, f"{name} cannot be read"):
             return tuple(self._map.GetNode(name).Symbolics)
 
     def bounds(self, name: str) -> tuple[float, float]:
-        with _told(self._genicam, f"{name} cannot be read"):
+        with _camera_errors(self._genicam, f"{name} cannot be read"):
             node = self._map.GetNode(name)
             return node.Min, node.Max
 
     def step(self, name: str) -> int:
-        with _told(self._genicam, f"{name} cannot be read"):
+        with _camera_errors(self._genicam, f"{name} cannot be read"):
             return int(self._map.GetNode(name).Inc)
 
 
@@ -233,8 +233,8 @@ def _identity(info: Any) -> Identity:
 
 
 @contextmanager
-def _told(genicam: Any, what: str) -> Iterator[None]:
-    """Tell in one line what pylon tells in several, with its own file names and lines."""
+def _camera_errors(genicam: Any, what: str) -> Iterator[None]:
+    """Report in one line what pylon reports in several, with its own file names and lines."""
     try:
         yield
     except genicam.GenericException as error:

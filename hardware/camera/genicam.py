@@ -23,7 +23,7 @@ from hardware.settings import CameraSettings
 
 Value = str | float | int | bool
 
-# Cameras that say so get ready within some 100 ms after acquisition is started.
+# Cameras that report it get ready within about 100 ms after acquisition is started.
 _READY_S = 2.0
 # A burst's buffers, at most: 1 GiB holds 200 frames of 5 megapixels, a second and more for whoever reads them.
 _BUFFER_BYTES = 1 << 30
@@ -35,7 +35,7 @@ class Features(Protocol):
     """A camera's features by their names. Whatever the camera refuses raises CameraError."""
 
     def has(self, name: str) -> bool:
-        """Whether it is there at present."""
+        """Return whether it exists at present."""
 
     def get(self, name: str) -> Value:
         """Return its value; an enumeration's is the entry's name."""
@@ -91,7 +91,8 @@ _GEOMETRY = (
     ("ReverseX", False),
     ("ReverseY", False),
 )
-#: SFNC, Basler's ace 2, older Basler, older FLIR: frames a second with everything as it is, readout and link included.
+#: SFNC, Basler's ace 2, older Basler, older FLIR: frames per second with everything as it is, readout and link
+#: included.
 _RESULTING_RATES = (
     "ResultingFrameRate",
     "BslResultingAcquisitionFrameRate",
@@ -101,12 +102,12 @@ _RESULTING_RATES = (
 
 
 def set_up(features: Features, settings: CameraSettings) -> Setup:
-    """Fix all that a camera might change by itself, set what the settings say, and read it back.
+    """Fix all that a camera might change by itself, set what the settings specify, and read it back.
 
     Raises
     ------
     RigError
-        The settings ask for what this camera cannot do; the message says what it can.
+        The settings request what this camera cannot do; the message lists what it can.
     CameraError
         It refuses what every GenICam camera must do.
     """
@@ -137,7 +138,7 @@ def set_up(features: Features, settings: CameraSettings) -> Setup:
 
 
 def wait_until_ready(features: Features, exposure_s: float) -> None:
-    """Return when the camera takes triggers, where it tells; one that comes before is lost.
+    """Return when the camera takes triggers, where it reports it; one that comes before is lost.
 
     Raises
     ------
@@ -157,7 +158,7 @@ def wait_until_ready(features: Features, exposure_s: float) -> None:
 
 
 def sensor_temperature_c(features: Features) -> float | None:
-    """Return how warm the sensor is, where the camera says that it is the sensor."""
+    """Return how warm the sensor is, where the camera reports that it is the sensor."""
     selector = "DeviceTemperatureSelector"
     if not (features.has("DeviceTemperature") and features.has(selector) and "Sensor" in features.options(selector)):
         return None
@@ -166,7 +167,7 @@ def sensor_temperature_c(features: Features) -> float | None:
 
 
 def buffers_for(count: int | None, frame_bytes: int) -> int:
-    """Return how many buffers a burst gets: one a frame and some more, as memory allows."""
+    """Return how many buffers a burst gets: one per frame and some more, as memory allows."""
     wanted = _ENDLESS_BUFFERS if count is None else count + _MIN_BUFFERS
     return max(_MIN_BUFFERS, min(wanted, _BUFFER_BYTES // frame_bytes))
 
@@ -409,7 +410,7 @@ def _set_lines(features: Features, settings: CameraSettings) -> None:
     sources = features.options("LineSource") if features.has("LineSource") else ()
     if "ExposureActive" not in sources:
         raise RigError(
-            f"strobe_line {settings.strobe_line} cannot tell of exposures, only {', '.join(sources) or 'nothing'}: "
+            f"strobe_line {settings.strobe_line} cannot report exposures, only {', '.join(sources) or 'nothing'}: "
             "take another line, or leave strobe_line out"
         )
     require(features, "LineSource", "ExposureActive")
@@ -446,7 +447,7 @@ def _min_period_s(features: Features, exposure_s: float, unlocked: list[str]) ->
     """Return the shortest time between triggers, rather too long than too short.
 
     While a frame is read out, most cameras expose the next one: then the period is the longer of the two, else their
-    sum. A camera's own resulting rate knows; the sum is taken where TriggerOverlap is off or nothing is said of it.
+    sum. A camera's own resulting rate knows; the sum is used where TriggerOverlap is off or not reported.
     """
     name = _first(features, *_RESULTING_RATES)
     if name is not None and _number(features, name) > 0:
@@ -456,7 +457,7 @@ def _min_period_s(features: Features, exposure_s: float, unlocked: list[str]) ->
     name = _first(features, "AcquisitionFrameRate", "AcquisitionFrameRateAbs")
     most_hz = features.bounds(name)[1] if name is not None else 0.0
     unlocked.append(
-        "it does not tell how many frames a second it makes as it is set up: leave time for the readout between "
+        "it does not report its frame rate as it is set up: leave time for the readout between "
         "triggers, and have its exposures counted"
     )
     return (1 / most_hz if most_hz > 0 else 0.0) + exposure_s

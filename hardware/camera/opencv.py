@@ -1,10 +1,10 @@
-"""Webcams through OpenCV: for trying things out. They are told when to take a frame by software only, and not trusted.
+"""Webcams through OpenCV: for trying things out. They are triggered by software only, and not trusted.
 
 A webcam has no trigger, no frame numbers and no clock, makes frames all the time, and its driver keeps some of them. So
 a trigger here means: throw away as many frames as could have been begun before it, and keep the next one.
 
-Frames are OpenCV's RGB, not the planes that the webcam sends (CAP_PROP_CONVERT_RGB = 0), which do not say their matrix:
-decoding takes YUYV's samples out of RGB again, to 0.003 mm of what the planes give (docs/cameras.md).
+Frames are OpenCV's RGB, not the planes that the webcam sends (CAP_PROP_CONVERT_RGB = 0), which do not specify their
+matrix: decoding takes YUYV's samples out of RGB again, to 0.003 mm of what the planes give (docs/cameras.md).
 """
 
 import sys
@@ -26,7 +26,7 @@ from hardware.errors import CameraError, RigError
 from hardware.protocols import CameraFrame, CameraLimits, FrameFormat, Identity
 from hardware.settings import CameraSettings
 
-# Frames that the driver keeps: OpenCV asks Video4Linux for 4, and takes at most 10.
+# Frames that the driver keeps: OpenCV requests 4 of Video4Linux, and takes at most 10.
 _USUAL_QUEUE, _LONGEST_QUEUE = 4, 10
 # The frame that is being exposed when the trigger comes, and the one before it, still on its way.
 _IN_FLIGHT = 2
@@ -70,7 +70,7 @@ class OpenCVCamera(OpenedCamera):
     CameraError
         It is not there, in use, or gives no frames.
     RigError
-        The settings ask for what no webcam can do.
+        The settings request what no webcam can do.
     """
 
     def __init__(self, settings: CameraSettings) -> None:
@@ -134,7 +134,7 @@ class OpenCVCamera(OpenedCamera):
             except Empty:
                 return None
             if request.burst != self._burst:
-                continue  # it was asked for before the last disarming
+                continue  # it was requested before the last disarming
             if frame is None:
                 raise CameraError(f"webcam {self._identity.serial} gives no frames: look at its cable")
             return frame
@@ -226,14 +226,14 @@ def _set_up(webcam: Any, settings: CameraSettings) -> tuple[tuple[str, ...], flo
 
 
 def _queue_length(webcam: Any) -> int:
-    """Return how many frames may lie in the driver: as many as it could, where it does not say."""
+    """Return how many frames may lie in the driver: as many as it could, where it does not report it."""
     said = webcam.get(cv2.CAP_PROP_BUFFERSIZE)
     return _USUAL_QUEUE if 1 <= said <= _USUAL_QUEUE else _LONGEST_QUEUE
 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep OpenCV from telling on the terminal what is told by the error, too."""
+    """Keep OpenCV from printing what the error reports, too."""
     level = cv2.utils.logging.getLogLevel()
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:

@@ -1,4 +1,4 @@
-"""What is alike in every camera once it is opened and set up: what it says of itself, and how it is let go of."""
+"""Common parts of all cameras once they are opened and set up: what they report, and how they are closed."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -25,12 +25,12 @@ class OpenedCamera:
 
     @property
     def identity(self) -> Identity:
-        """What was found when it was opened."""
+        """Identity found when it was opened."""
         return self._identity
 
     @property
     def limits(self) -> CameraLimits:
-        """What it can do as it is set up."""
+        """Limits as it is set up."""
         return self._setup.limits
 
     @property
@@ -40,12 +40,12 @@ class OpenedCamera:
 
     @property
     def unlocked(self) -> tuple[str, ...]:
-        """What it may still change by itself, or what could not be read back, a sentence each."""
+        """Settings that it may still change by itself, or that could not be read back, one sentence each."""
         return self._setup.unlocked
 
 
 def let_go_within(seconds: float, let_go: Callable[[], None]) -> None:
-    """Let go of a camera; a library that hangs goes on in the background after these seconds."""
+    """Let go of a camera; a library that hangs continues in the background after these seconds."""
     closing = Thread(target=let_go, name="close camera", daemon=True)
     closing.start()
     closing.join(seconds)

@@ -29,7 +29,7 @@ class TriggerCounter:
     def __init__(self, features: Features, line: str) -> None:
         self._features = features
         self._counter: str | None = None
-        #: The feature of a frame's chunk data that holds the count; None: it does not tell.
+        #: The feature of a frame's chunk data that holds the count; None: there is none.
         self.chunk: str | None = None
         if line == "software" or not features.has("ChunkModeActive"):
             return

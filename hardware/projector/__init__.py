@@ -14,7 +14,7 @@ def open_projector(settings: ProjectorSettings) -> Projector:
     Raises
     ------
     RigError
-        The settings do not say how, or the driver is not there.
+        The settings do not specify how, or the driver is not there.
     ProjectorError
         It does not answer, or something else does.
     """

@@ -1,8 +1,8 @@
 """A projector with InFocus's RS-232 commands, as (PWR1).
 
 The manuals show how settings are read, as (BRT?) with the answer (0-100, 50), a range and what it is; none shows the
-answer to (PWR?), so it is taken however it comes. They ask for three seconds between commands, and promise no answer
-to one that sets something.
+answer to (PWR?), so it is taken however it comes. They require three seconds between commands, and promise no answer to
+one that sets something.
 
 References
 ----------
@@ -42,7 +42,7 @@ class InFocus:
     url : str
         The serial device, or a URL.
     baud : int, optional
-        Bits a second; None: the usual ones are tried.
+        Bits per second; None: the usual ones are tried.
 
     Raises
     ------
@@ -58,7 +58,7 @@ class InFocus:
             self._link = Link(url, baud=rate or BAUDS[0], terminator=b")", timeout_s=ANSWER_S, error=ProjectorError)
             try:
                 if (power := self._read("PWR")) is not None:
-                    self._tells_power = power.value in _POWER
+                    self._reports_power = power.value in _POWER
                     return
             except BaseException:
                 self._link.close()
@@ -70,17 +70,17 @@ class InFocus:
             "models need a null modem) and baud under [projector]"
         )
 
-    def power(self, on: bool, tell: Callable[[str], None] = lambda doing: None) -> bool:
-        """Switch it on or off and wait until it says so; see `Projector`."""
+    def power(self, on: bool, notify: Callable[[str], None] = lambda doing: None) -> bool:
+        """Switch it on or off and wait until it reports that; see `Projector`."""
 
         def command() -> bool:
             self._send(f"PWR{on:d}")
             return True
 
-        if not self._tells_power:
+        if not self._reports_power:
             command()
             return False
-        switch_power(on, self._power, command, tell)
+        switch_power(on, self._power, command, notify)
         return True
 
     def input(self, source: str) -> None:
@@ -132,16 +132,16 @@ class InFocus:
             )
 
     def _read(self, name: str) -> _Setting | None:
-        """Return a setting; None: it does not tell."""
+        """Return a setting; None: it does not report it."""
         self._send(f"{name}?")
         deadline_s = time.monotonic() + ANSWER_S
         while (line := self._link.receive(max(0.0, deadline_s - time.monotonic()))) is not None:
-            # A line ends before its bracket; an echo of the question, a prompt or a ? may stand before it.
+            # A line ends before its bracket; an echo of the question, a prompt or a ? may precede it.
             if found := re.search(r"\(\s*(\d+)\s*-\s*(\d+)\s*,\s*(\d+)\s*$", line):
                 return _Setting(int(found[3]), int(found[1]), int(found[2]))
             if found := re.search(rf"\(\s*{name}\W?(\d+)\s*$", line):
                 return _Setting(int(found[1]))
-        self._last_s = time.monotonic()  # time for an answer that comes late: it does not say to what it is one
+        self._last_s = time.monotonic()  # time for an answer that comes late: it does not name its question
         return None
 
     def _send(self, command: str) -> None:

@@ -52,7 +52,7 @@ class PJLink:
     Parameters
     ----------
     url : str
-        Where, as ``socket://10.0.0.6:4352``.
+        Address, as ``socket://10.0.0.6:4352``.
     password : str, optional
         PJLink's password, where one is set.
 
@@ -66,10 +66,10 @@ class PJLink:
         self._url = url
         self._password = password
         with self._session() as session:
-            session.ask("POWR", "?")  # what every projector answers, and what tells of a wrong password
-            self.identity = Identity(session.told("INF1") or "", session.told("INF2") or "")
+            session.ask("POWR", "?")  # every projector answers it, and it reveals a wrong password
+            self.identity = Identity(session.read("INF1") or "", session.read("INF2") or "")
 
-    def power(self, on: bool, tell: Callable[[str], None] = lambda doing: None) -> bool:
+    def power(self, on: bool, notify: Callable[[str], None] = lambda doing: None) -> bool:
         """Switch it on or off and wait until it is; see `Projector`."""
 
         def command() -> bool:
@@ -82,7 +82,7 @@ class PJLink:
                     return False
             return True
 
-        switch_power(on, self._power, command, tell)
+        switch_power(on, self._power, command, notify)
         return True
 
     def input(self, source: str) -> None:
@@ -96,7 +96,7 @@ class PJLink:
             try:
                 session.ask("INPT", source)
             except _RefusedError as refused:
-                inputs = session.told("INST") if refused.code == "2" else None
+                inputs = session.read("INST") if refused.code == "2" else None
                 if inputs is None:
                     raise
                 raise ProjectorError(f"the projector has no input {source}: choose one of {inputs}") from None
@@ -113,13 +113,13 @@ class PJLink:
                 session.ask("AVMT", "1" + last)
 
     def status(self) -> ProjectorStatus:
-        """Ask it how it is; see `Projector`."""
+        """Query its state; see `Projector`."""
         power = self._power()
         with self._session() as session:
-            mute = session.told("AVMT")
-            errors = session.told("ERST")
-            lamps = session.told("LAMP", otherwise="")  # one without a lamp does not know the question
-            shown = session.told("INPT")
+            mute = session.read("AVMT")
+            errors = session.read("ERST")
+            lamps = session.read("LAMP", otherwise="")  # one without a lamp does not know the question
+            shown = session.read("INPT")
         faults = None
         if errors is not None and re.fullmatch("[012]{6}", errors):
             digits = zip(_PARTS, errors, strict=True)
@@ -225,8 +225,8 @@ class _Session:
             "switch it off at the mains and on again"
         )
 
-    def told(self, query: str, otherwise: str | None = None) -> str | None:
-        """Return the answer to a question; None where it cannot be told now, `otherwise` where it never is."""
+    def read(self, query: str, otherwise: str | None = None) -> str | None:
+        """Return the answer to a question; None where there is none now, `otherwise` where there never is."""
         try:
             return self.ask(query, "?")
         except _RefusedError as refused:

@@ -1,4 +1,4 @@
-"""What is alike in all projectors: they need a port, and take minutes to switch on or off."""
+"""Common parts of all projectors: they need a port, and take minutes to switch on or off."""
 
 import time
 from collections.abc import Callable
@@ -9,25 +9,25 @@ from hardware.settings import ProjectorSettings
 
 #: Lamps take up to a minute and a half to light and two to cool, and one that was just switched off does both.
 DEADLINE_S = 240.0
-#: How often it is asked; its network part is slow, and busy with the change.
+#: How often it is queried; its network part is slow, and busy with the change.
 POLL_S = 2.0
 
 
 def switch_power(
-    on: bool, state: Callable[[], PowerState | None], command: Callable[[], bool], tell: Callable[[str], None]
+    on: bool, state: Callable[[], PowerState | None], command: Callable[[], bool], notify: Callable[[str], None]
 ) -> None:
     """Send a command until it is taken, and wait until it is carried out.
 
     Parameters
     ----------
     on : bool
-        What is wanted.
+        True to switch it on, False to switch it off.
     state : callable
-        Asks what it does now; None: it is busy, and silent.
+        Queries what it does now; None: it is busy, and silent.
     command : callable
         Sends the command; False: it cannot be taken now.
-    tell : callable
-        Hears what the projector is doing.
+    notify : callable
+        Called with what the projector is doing.
 
     Raises
     ------
@@ -45,7 +45,7 @@ def switch_power(
             )
         if not taken:
             taken = command()
-        tell(now if taken and now is not None else f"waiting to switch it {wanted}")
+        notify(now if taken and now is not None else f"waiting to switch it {wanted}")
         time.sleep(POLL_S)
 
 
@@ -55,7 +55,7 @@ def port_of(settings: ProjectorSettings, example: str) -> str:
     Raises
     ------
     RigError
-        The settings do not say.
+        The settings do not specify it.
     """
     if settings.port is None:
         raise RigError(f'projector.port is missing: write where it is connected, as port = "{example}"')

@@ -1,4 +1,4 @@
-"""Where pulses come from: one file an instrument, each with the methods of `hardware.protocols.Trigger`."""
+"""Sources of pulses: one file per instrument, each with the methods of `hardware.protocols.Trigger`."""
 
 from hardware.drivers import SIMULATED, SOFTWARE, open_driver
 from hardware.errors import RigError

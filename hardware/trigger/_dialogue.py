@@ -8,7 +8,7 @@ from hardware.errors import TriggerError
 from hardware.link import Link
 from hardware.protocols import Identity
 
-#: An instrument that is busy, or was asked for its name by noise, may swallow the first questions.
+#: An instrument that is busy, or whose name was queried by noise, may swallow the first questions.
 TRIES = 3
 #: How long a name may take: at 4800 baud, the longest takes 0.15 s on its way.
 NAME_S = 0.6
@@ -26,7 +26,7 @@ def names(link: Link) -> Iterator[str]:
 
 
 class Dialogue:
-    """Questions and answers that stay in step: after an answer that did not come, or makes no sense, the name is asked.
+    """Questions and answers that stay in step: after an answer that is missing, or makes no sense, the name is queried.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class Dialogue:
     name
         A pattern of the whole answer to ``*IDN?``, with the groups maker, model, serial and firmware.
     instrument
-        What is expected there, in words.
+        The expected instrument, in words.
 
     Raises
     ------
@@ -62,7 +62,7 @@ class Dialogue:
         )
 
     def ask(self, question: str, answer: str, *, once: bool = False) -> str:
-        """Return the answer, which must match a pattern; what comes to nothing is asked again, unless only once."""
+        """Return the answer, which must match a pattern; what fails is sent again, unless only once."""
         for _ in range(1 if once else 2):
             if not self._in_step:
                 self._catch_up()
@@ -89,7 +89,7 @@ class Dialogue:
         return None
 
     def _catch_up(self) -> None:
-        """Wait until the instrument says its name: every answer before that is to an older question."""
+        """Wait until the instrument reports its name: every answer before that is to an older question."""
         for _ in range(2):  # noise in front of the first one may spoil it
             self.link.settle(QUIET_S)
             self.link.send("*IDN?")

@@ -26,11 +26,11 @@ BAUD = 115200
 IDENTIFY_S = 3.0
 #: The box's clock and this machine's differ by less than 1 %; what runs on for longer than that is stuck.
 OVERDUE_S = 1.0
-#: Damaged lines during a burst: a few were asked for again, of more one may have passed, as one in 256 does.
+#: Damaged lines during a burst: a few were repeated, of more one may have passed, as one in 256 does.
 FEW_DAMAGED = 3
 #: Exposures that the box remembers at most.
 MEMORY = 128
-#: With how many that it was not asked for yet `status` begins to read them out.
+#: Number of unread ones at which `status` begins to read them out.
 BACKLOG = MEMORY // 2
 #: Answers, of six exposures and 16 ms each, that one `status` waits for.
 LOG_ANSWERS = 4
@@ -40,7 +40,7 @@ REMEMBERED = 108_000
 #: Clocks are compared over this time at least: an answer's delay, unknown by a millisecond, is 100 ppm of it.
 CLOCK_S = 10.0
 CLOCK_SAMPLES = 100
-#: Answers that took this many times as long as the fastest one were held up on their way, and tell no time.
+#: Answers that took this many times as long as the fastest one were held up on their way, and show no time.
 SLOW = 1.5
 
 CAUSES = {
@@ -75,17 +75,17 @@ class _Lost(TriggerError):
 
 
 class _Refused(TriggerError):
-    """The box understood and said no."""
+    """The box understood and refused."""
 
 
 def _is_number(word: str) -> bool:
-    """Whether a word is a number of 32 bits, which are all that the box counts in."""
+    """Return whether a word is a number of 32 bits, which are all that the box counts in."""
     return word.isdecimal() and len(word) <= 10 and int(word) < 2**32
 
 
 @dataclass(frozen=True)
 class _Answer:
-    """What the box said after OK."""
+    """The box's answer after OK."""
 
     words: tuple[str, ...]
 
@@ -120,7 +120,7 @@ class TriggerBox(PortTrigger):
     """The trigger box.
 
     It remembers 128 exposures; of longer bursts `status` reads them out while they run. The box stops a burst when it
-    has heard nothing for 5 s, as it would be triggering for nobody: ask for the status more often.
+    has heard nothing for 5 s, as it would be triggering for nobody: query the status more often.
 
     Parameters
     ----------
@@ -142,14 +142,14 @@ class TriggerBox(PortTrigger):
         self._number = 0  # of the last request
         self._damaged = 0  # answers with a wrong CRC
         self._damaged_before = 0  # lines, when it was armed
-        self._set: _Answer | None = None  # what it was told last, in its own words; None: nothing
+        self._set: _Answer | None = None  # the last configuration that it took, in its own words; None: none
         self._count = 0  # pulses of the burst; 0: endless
         self._period = 0  # ticks
         self._deadline_s: float | None = None  # when the burst must be over
         self._overdue = False
         self._log: deque[Strobe] = deque(maxlen=REMEMBERED)
         self._logged = 0  # exposures that were read from the box, or lost there
-        self._clock: deque[tuple[float, float, int]] = deque(maxlen=CLOCK_SAMPLES)  # asked and answered at, s; tick
+        self._clock: deque[tuple[float, float, int]] = deque(maxlen=CLOCK_SAMPLES)  # queried and answered at, s; tick
         self._identity = self._identified()
         self._limits = self._asked_limits()
 
@@ -175,7 +175,7 @@ class TriggerBox(PortTrigger):
             f"period={period} count={count} projector={pulses[0]},{pulses[1]} camera={pulses[2]},{pulses[3]} "
             f"strobe={self._strobe:d} vsync={self._vsync:d}"
         )
-        if not set(expected.split()) <= set(answer.words):  # later firmware may say more
+        if not set(expected.split()) <= set(answer.words):  # later firmware may report more
             raise TriggerError(f"{self._link.url}: the trigger box makes {' '.join(answer.words)!r} of {expected!r}")
         self._set, self._count, self._period = answer, count, period
         return train
@@ -199,7 +199,7 @@ class TriggerBox(PortTrigger):
         self._logged = 0
 
     def fire(self) -> None:
-        """Start the burst. That is said once; where the answer is lost, the status tells whether it was heard."""
+        """Start the burst. It is sent once; where the answer is lost, the status shows whether it was received."""
         if self._set is None:
             raise TriggerError(f"{self._link.url}: the trigger box has no burst to make: configure and arm it first")
         try:
@@ -259,7 +259,7 @@ class TriggerBox(PortTrigger):
         self._ask("STOP")
 
     def _complaints(self, said: _Answer) -> list[str]:
-        """Return what a status says that is wrong."""
+        """Return the faults in a status."""
         complaints = []
         state = said.text("state")
         if self._set is not None and not self._is_same_life(said):
@@ -303,7 +303,7 @@ class TriggerBox(PortTrigger):
             answers -= 1
 
     def _identified(self) -> Identity:
-        """Wait until it says who it is."""
+        """Wait until it reports its identity."""
         deadline_s = time.monotonic() + IDENTIFY_S
         while True:
             try:
@@ -345,7 +345,7 @@ class TriggerBox(PortTrigger):
         )
 
     def _ask(self, command: str, tries: int = 2) -> _Answer:
-        """Return the answer to a command, which is said again where that is lost."""
+        """Return the answer to a command, which is sent again where that is lost."""
         for _ in range(tries - 1):
             with suppress(_Lost):
                 return self._exchange(command, self._link.timeout_s)
@@ -389,9 +389,9 @@ def clock_ppm(samples: Sequence[tuple[float, float, int]], tick_s: float) -> flo
     Parameters
     ----------
     samples : (s, s, ticks)
-        When it was asked and when it answered, by this machine's clock, and its tick then, modulo 2^32.
+        Times of the query and of the answer, by this machine's clock, and its tick then, modulo 2^32.
     tick_s : float
-        How long a tick is by its own clock.
+        Length of a tick by its own clock.
 
     Returns
     -------
@@ -403,7 +403,7 @@ def clock_ppm(samples: Sequence[tuple[float, float, int]], tick_s: float) -> flo
     if len(prompt) < 3 or prompt[-1][0] - prompt[0][0] < CLOCK_S:
         return None
     middle_s = np.array([(asked_s + answered_s) / 2 for asked_s, answered_s, _ in prompt])
-    steps = np.diff([tick for _, _, tick in prompt]) % 2**32  # it is asked more often than once in 35 minutes
+    steps = np.diff([tick for _, _, tick in prompt]) % 2**32  # it is queried more often than once in 35 minutes
     its_s = tick_s * np.concatenate([[0], np.cumsum(steps)])
     return float(1e6 * (np.polyfit(middle_s - middle_s[0], its_s, 1)[0] - 1))
 
@@ -412,4 +412,4 @@ def _cause(said: _Answer) -> str:
     """Return why it restarted."""
     bits = said.number("cause")
     causes = [text for bit, text in CAUSES.items() if bits & bit]
-    return ", ".join(causes) or "its boot loader does not tell why"
+    return ", ".join(causes) or "its boot loader does not report why"

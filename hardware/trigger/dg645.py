@@ -19,13 +19,13 @@ BAUDS = (9600, 115200, 57600, 38400, 19200, 4800)
 """As it is delivered, and what else it can be set to."""
 
 ENDLESS = 2**31 - 1
-"""The most pulses a burst, by the maker's own driver; the train that goes on until it is aborted is one of these."""
+"""The most pulses per burst, by the maker's own driver; a train that continues until it is aborted is one of these."""
 LIMITS = TriggerLimits(
     tick_s=10e-9,  # of the burst's period; delays are finer
     min_period_s=100e-9,
     max_period_s=1999.0,
     min_width_s=10e-9,
-    min_gap_s=100e-9,  # it is not ready for the next cycle at once; were it longer, RATE would tell
+    min_gap_s=100e-9,  # it is not ready for the next cycle at once; were it longer, RATE would show it
     max_count=ENDLESS,
     counts_strobes=False,
     counts_vsyncs=False,
@@ -119,14 +119,14 @@ class DG645(PortTrigger):
         self._link.send("*TRG")
         try:
             refused = self._errors()
-        except TriggerError:  # it may run or not: its registers tell
+        except TriggerError:  # it may run or not: its registers show it
             self._complaints.append("the DG645 did not confirm that it started")
             return
         if refused:
             raise TriggerError(f"{self._link.url}: the DG645 refuses to start: {refused}")
 
     def status(self) -> TriggerStatus:
-        """Return what its registers tell."""
+        """Return what its registers show."""
         running = self._read_registers()
         complaints = [*self._complaints, *(words for bit, words in COMPLAINTS.items() if self._events & bit)]
         if self._fired and not running and not self._events & END_OF_BURST:
@@ -188,7 +188,7 @@ class DG645(PortTrigger):
         )
 
     def _read_registers(self) -> bool:
-        """Note what the registers tell, and return whether a burst is under way.
+        """Note what the registers show, and return whether a burst is under way.
 
         Reading clears them: what was in an answer that is lost is lost too, and a burst then counts as unfinished.
         """

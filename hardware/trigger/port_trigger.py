@@ -1,4 +1,4 @@
-"""What is alike in every trigger source at a port: how it is opened by its settings, and let go of."""
+"""Common parts of all trigger sources at a port: how they are opened by their settings, and closed."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -22,12 +22,12 @@ class PortTrigger(ABC):
 
     @property
     def identity(self) -> Identity:
-        """What was found when it was opened."""
+        """Identity found when it was opened."""
         return self._identity
 
     @property
     def limits(self) -> TriggerLimits:
-        """What it can do."""
+        """Limits of its pulses."""
         return self._limits
 
     @abstractmethod
@@ -49,7 +49,7 @@ T = TypeVar("T", bound=PortTrigger)
 
 
 def open_port(settings: TriggerSettings, usual: tuple[int, ...], terminator: bytes, driver: Callable[[Link], T]) -> T:
-    """Open a port at its baud rate, or at the first usual one at which something says its name.
+    """Open a port at its baud rate, or at the first usual one at which something reports its name.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def open_port(settings: TriggerSettings, usual: tuple[int, ...], terminator: byt
     usual : tuple of int
         Baud rates to try where it is not.
     terminator : bytes
-        What ends a line that is sent.
+        End of a line that is sent.
     driver : callable
         Called with the open link; returns the trigger source.
 

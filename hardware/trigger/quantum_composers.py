@@ -1,7 +1,7 @@
 """Pulse generators that speak the language of Quantum Composers: 9200, 9500 and BNC 505 to 577, over a serial line.
 
 Every command is answered by one line: ``ok``, a value, or ``?n``. The burst is made by the system timer, T0, to which
-both outputs are tied; switching T0 on starts it. Not every model says how many pulses it made, so none is asked.
+both outputs are tied; switching T0 on starts it. Not every model reports how many pulses it made, so none is queried.
 """
 
 import time
@@ -83,9 +83,9 @@ class QuantumComposers(PortTrigger):
         train = fitted(train, LIMITS)
         self.abort()
         self._train = None
-        self._tell("*RST")  # gates, external triggers and the other outputs off, levels as TTL
+        self._send("*RST")  # gates, external triggers and the other outputs off, levels as TTL
         if self._dialogue.ask(":PULS0:TRIG:MOD DIS", f"ok|{REFUSAL}") != "ok":
-            self._tell(":PULS0:EXT:MOD DIS")  # as older ones say it
+            self._send(":PULS0:EXT:MOD DIS")  # as older ones spell it
         self._set(train)
         self._train = train
         return train
@@ -103,7 +103,7 @@ class QuantumComposers(PortTrigger):
         self._fired_s = time.monotonic()
         try:
             said = self._dialogue.ask(":PULS0:STATE 1", f"ok|{REFUSAL}", once=True)
-        except TriggerError:  # it may run or not: its state tells
+        except TriggerError:  # it may run or not: its state shows it
             self._complaints.append("the pulse generator did not confirm that it started")
             return
         self._check(":PULS0:STATE 1", said)
@@ -125,7 +125,7 @@ class QuantumComposers(PortTrigger):
     def abort(self) -> None:
         """Stop, outputs low."""
         self._fired_s = None
-        self._tell(":PULS0:STATE 0")
+        self._send(":PULS0:STATE 0")
 
     def _set(self, train: PulseTrain) -> None:
         """Set whatever is not as the train needs it."""
@@ -139,7 +139,7 @@ class QuantumComposers(PortTrigger):
         for keyword, value in settings.items():
             if _means(self._asked(keyword), value):
                 continue
-            self._tell(f"{keyword} {value}")
+            self._send(f"{keyword} {value}")
             if not _means(kept := self._asked(keyword), value):
                 raise TriggerError(
                     f"{self._link.url}: the pulse generator took {keyword} {value} as {kept}: is the output "
@@ -151,7 +151,7 @@ class QuantumComposers(PortTrigger):
         self._check(f"{keyword}?", said)
         return said
 
-    def _tell(self, command: str) -> None:
+    def _send(self, command: str) -> None:
         self._check(command, self._dialogue.ask(command, f"ok|{REFUSAL}"))
 
     def _check(self, command: str, said: str) -> None:
@@ -182,7 +182,7 @@ def _written(time_s: float) -> str:
 
 
 def _means(said: str, value: str) -> bool:
-    """Return whether an answer says a value, in the instrument's own spelling, as BURST for BURS."""
+    """Return whether an answer states a value, in the instrument's own spelling, as BURST for BURS."""
     try:
         return abs(float(said) - float(value)) < LIMITS.tick_s / 2
     except ValueError:

@@ -24,9 +24,9 @@ _STOP_S = 5.0
 
 
 class SoftwareTrigger:
-    """Tell a camera to take a frame, once a period; a `Trigger`. Nothing reaches the projector.
+    """Trigger a camera by software, once per period; a `Trigger`. Nothing reaches the projector.
 
-    Its times are those at which the camera was told, some milliseconds before it does it.
+    Its times are those of the command, some milliseconds before the camera exposes.
 
     Parameters
     ----------

@@ -180,7 +180,7 @@ class CameraEffects:
             "chroma subsampling",
             f"steps of colour are {expm1(uneven):.0%} larger between every second pair of pixels: choose a format with "
             "the full resolution of colour (raw, RGB8, YUV 4:4:4), not YUYV, NV12, MJPEG or H.264",
-            2 * pi * 0.5 / period_px,  # a pixel's colour is up to half a pixel beside it
+            2 * pi * 0.5 / period_px,  # a pixel's colour is up to half a pixel off it
         )
 
     def defocus(self) -> RigFault | None:

@@ -45,7 +45,7 @@ LIVE_READY_S = 60.0
 
 @dataclass(frozen=True)
 class CapturePlan:
-    """What is to be captured, and how it is kept."""
+    """Number and kind of bursts to capture, and the way to keep them."""
 
     n_bursts: int | None = 1  # None: until it is stopped
     endless: bool = False  # pulses run on without a gap
@@ -56,12 +56,12 @@ class CapturePlan:
 
 @dataclass(frozen=True)
 class CaptureProgress:
-    """How a capture stands."""
+    """Progress of a capture."""
 
     n_bursts: int
     n_frames: int
     n_rejected: int  # bursts that were thrown away
-    rate_hz: float  # whole frames a second, of late
+    rate_hz: float  # whole frames per second, of late
     note: str | None  # what went wrong last
     watched: WatchedFrame | None  # None: none is decoded
 
@@ -77,7 +77,7 @@ def pixel_format(format: FrameFormat) -> PixelFormat:
     Raises
     ------
     CameraError
-        It is a Bayer mosaic, and the camera does not say which.
+        It is a Bayer mosaic, and the camera does not report which.
     """
     if format.layout == "rgb":
         return PixelFormat("rgb", format.bits)
@@ -94,7 +94,7 @@ def taken(folder: Path) -> OutputError:
 
 
 def _check_memory(n_bytes: int) -> None:
-    """Refuse what would be killed for its size, where the system tells how much there is."""
+    """Refuse what would be killed for its size, where the system reports its memory."""
     try:
         there = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     except (AttributeError, ValueError):
@@ -112,15 +112,15 @@ class CaptureFolder:
     Parameters
     ----------
     folder : Path
-        Where, which must not exist.
+        A folder that must not exist.
     rig : Rig
-        Set up, for what it says of camera and pulses.
+        Set up, for its camera and pulses.
     plan : CapturePlan
-        How bursts are kept.
+        The way bursts are kept.
     calibration : Calibration or None
         The rig's, which is copied there.
     decoding : DecodeSettings
-        How frames are decoded live.
+        Settings for live decoding.
 
     Raises
     ------
@@ -156,8 +156,8 @@ class CaptureFolder:
         try:
             if calibration is not None:
                 calibration.write(folder / CALIBRATION)
-            if told := _decode_settings(rig.settings, self._period_s).model_dump(mode="json", exclude_unset=True):
-                write_atomically(folder / SETTINGS, tomlkit.dumps(told).encode())
+            if known := _decode_settings(rig.settings, self._period_s).model_dump(mode="json", exclude_unset=True):
+                write_atomically(folder / SETTINGS, tomlkit.dumps(known).encode())
             self._log = CaptureLog(folder / LOG)
             self._log.say(
                 "start",
@@ -170,7 +170,7 @@ class CaptureFolder:
                 not_locked=list(rig.camera.unlocked),
                 calibration_sha256=None if calibration is None else calibration.digest(),
             )
-            # A camera that takes frames when told to encodes them as it likes; the calibration may have measured how.
+            # A camera triggered by software encodes frames as it likes; the calibration may have measured how.
             transfer = "linear" if limits.triggered else None
             if calibration is not None and calibration.capture is not None and calibration.capture.transfer is not None:
                 measured = calibration.capture.transfer
@@ -233,7 +233,7 @@ class CaptureFolder:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What went wrong beside the bursts, a sentence each."""
+        """Failures apart from the bursts, one sentence each."""
         if self._watched is None:
             return ()
         if self._watched.decoder.ended is not None:
@@ -243,7 +243,7 @@ class CaptureFolder:
         return ()
 
     def progress(self) -> CaptureProgress:
-        """Return how it stands."""
+        """Return the progress."""
         seconds = self._ended_s[-1] - self._ended_s[0]
         rate_hz = (len(self._ended_s) - 1) * self._frames_a_burst / seconds if seconds > 0 else 0.0
         n_bursts = self.n_bursts + len(self._ring)
@@ -273,7 +273,7 @@ class CaptureFolder:
 class CaptureLog:
     """``log.jsonl``: a line of JSON for everything that happened; see `docs/rig.md`.
 
-    What it says of the last burst can be taken back.
+    Its entries on the last burst can be taken back.
 
     Parameters
     ----------
@@ -385,7 +385,7 @@ class CaptureLog:
 
 
 def _decode_settings(rig: RigSettings, period_s: float) -> DecodeSettings:
-    """Return the settings that say when the rig shows its colours and exposes its rows."""
+    """Return the settings for the times at which the rig shows its colours and exposes its rows."""
     cycle_s, fields = rig.projector.colour_cycle_s, rig.projector.fields
     values: dict[str, Any] = {"row_s": rig.camera.row_s} if rig.camera.row_s else {}
     if values or cycle_s is not None:
@@ -406,7 +406,7 @@ def end_log(path: Path, n_frames: int) -> None:
     path : Path
         The log.
     n_frames : int
-        How many frames there are.
+        Number of frames.
 
     Raises
     ------

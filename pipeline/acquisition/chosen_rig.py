@@ -1,4 +1,4 @@
-"""The rig that a capture is to use: what it says of itself, what opens its instruments, and whether it is ready."""
+"""The rig that a capture is to use: its settings, its instruments' opener, and a check that it is ready."""
 
 import tomllib
 from collections.abc import Callable, Iterator
@@ -65,7 +65,7 @@ class ChosenRig:
             yield keep
 
     def differences(self) -> list[str]:
-        """Say where the camera stands otherwise than at calibration, or that there is none yet."""
+        """Report where the camera's state differs from the calibration's, or that there is none yet."""
         if self.calibration is None and self.settings.calibration is not None:
             return [f"{self.settings.calibration} does not exist yet: colorphase calibrate capture makes it"]
         capture = None if self.calibration is None else self.calibration.capture
@@ -87,7 +87,7 @@ def read_rig(path: str | Path) -> RigSettings:
     Returns
     -------
     RigSettings
-        What it says; a calibration named relative to its folder is found from here.
+        Its contents; a calibration named relative to its folder is found from here.
 
     Raises
     ------
@@ -110,7 +110,7 @@ def read_rig(path: str | Path) -> RigSettings:
     return settings.replace(calibration=str(Path(path).parent / settings.calibration))
 
 
-def choose_rig(rig: str, arch: str, tell: Callable[[str], None]) -> ChosenRig:
+def choose_rig(rig: str, arch: str, notify: Callable[[str], None]) -> ChosenRig:
     """Return the rig of a file, or the simulated one.
 
     Parameters
@@ -118,9 +118,9 @@ def choose_rig(rig: str, arch: str, tell: Callable[[str], None]) -> ChosenRig:
     rig : str
         Its TOML file, or "simulated".
     arch : str
-        Where a simulated rig's frames are rendered.
-    tell : callable
-        Told what is being done.
+        Device that renders a simulated rig's frames.
+    notify : callable
+        Called with what is being done.
 
     Raises
     ------
@@ -137,7 +137,7 @@ def choose_rig(rig: str, arch: str, tell: Callable[[str], None]) -> ChosenRig:
 
     settings = SETTINGS if rig == SIMULATED else read_rig(rig)
     if settings.trigger.driver == settings.camera.driver == SIMULATED:
-        return ChosenRig(settings, *simulated_instruments(settings, arch, tell))
+        return ChosenRig(settings, *simulated_instruments(settings, arch, notify))
     there = settings.calibration is not None and Path(settings.calibration).exists()
     calibration = Calibration.read(settings.calibration) if there and settings.calibration else None
     if calibration is not None and calibration.response is not None and settings.projector.display is not None:

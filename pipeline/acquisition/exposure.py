@@ -70,13 +70,13 @@ class ExposureFinder:
     studio : Studio
         Projector and camera, before a still surface.
     exposure_s, gain_db : float
-        What the camera is set to.
+        The camera's present setting.
     period_px : float
         The pattern's period, projector px.
     axis : {0, 1}
         Along which the phase grows: 0 is down the picture's rows.
-    tell : callable
-        Hears what is being done.
+    notify : callable
+        Called with what is being done.
     """
 
     def __init__(
@@ -86,12 +86,12 @@ class ExposureFinder:
         gain_db: float,
         period_px: float,
         axis: int,
-        tell: Callable[[str], None] = lambda line: None,
+        notify: Callable[[str], None] = lambda line: None,
     ) -> None:
         self._studio, self._probe = studio, RigProbe(studio)
         self._exposure_s, self._gain_db = exposure_s, gain_db
         self._fringe = period_px, axis
-        self._tell = tell
+        self._notify = notify
         self._faults: dict[str, RigFault] = {}
         self._fields: MeasuredFields | str | None = None
 
@@ -105,11 +105,11 @@ class ExposureFinder:
         CalibrationError
             The camera does not see wide bars.
         """
-        self._tell("looking at black and white")
+        self._notify("looking at black and white")
         if self._note(self._probe.look()) or self._note(self._probe.measure_delay()):
             return self._report(0.0, None, "linear", None)
         curve = measure_tone_curve(self._probe, self._white_code() * _DIMMER)
-        self._tell("testing for automatic exposure")
+        self._notify("testing for automatic exposure")
         automatic = self._note(CameraEffects(self._probe, curve, self._white_code(), *self._fringe).auto_exposure())
         light = self._first_light(curve, automatic=automatic)
         meter, cycle = self._measure_cycle(curve, light, automatic=automatic)
@@ -185,7 +185,7 @@ class ExposureFinder:
         present = meter.variation(self._exposure_s, _STARTS)
         self._bars_share = min(1.0, present.light / light)
         self._check_room(present.room * self._bars_share)
-        cycle = meter.cycle(self._tell)
+        cycle = meter.cycle(self._notify)
         if present.sigma > MAX_FLICKER:
             what = "is off the cycle of the projector's light"
             if cycle is not None:
@@ -198,7 +198,7 @@ class ExposureFinder:
         """Measure the times of colours and rows, if the light repeats; return the cycle, known better by them."""
         if cycle is None:
             return None
-        self._tell("measuring when each colour is on")
+        self._notify("measuring when each colour is on")
         light_per_s = light / self._exposure_s / 10 ** (self._gain_db / 20)
         self._fields = measure_fields(self._probe, curve.to_light, cycle.period_s, light_per_s)
         if isinstance(self._fields, str) or not self._fields.is_periodic:
@@ -243,13 +243,13 @@ class ExposureFinder:
         """Test the rig with the camera as it is set now."""
         probe = self._probe
         self._studio.set_camera(self._exposure_s, self._gain_db)
-        self._tell("testing the projector's picture")
+        self._notify("testing the projector's picture")
         if self._note(probe.look()):
             return self._report(0.0, cycle, "linear", None)
         probe.delay_s = SURE_S  # which automatics of the camera may need
         resampled = self._note(probe.resampled())
         self._note(probe.mirrored())
-        self._tell("testing the camera's processing")
+        self._notify("testing the camera's processing")
         code = self._white_code()
         curve = measure_tone_curve(probe, code, 3 * probe.takes)
         if not resampled and not curve.is_named:

@@ -1,6 +1,6 @@
 """Take the pictures of a calibration: show each, wait until it is on the screen, photograph, check and keep it.
 
-A picture is kept under its name as soon as it is checked, so a capture that is stopped at any time goes on where it
+A picture is kept under its name as soon as it is checked, so a capture that is stopped at any time continues where it
 was. The pictures of the light, and of each pose, are in a folder whose name begins with a dot until all of them are
 there and show that nothing changed meanwhile.
 """
@@ -85,11 +85,11 @@ class GuidedCapture:
     studio : Studio
         Projector, camera and operator.
     folder : Path
-        Where the pictures go; what an earlier capture left there is gone on with.
+        Folder of the pictures; what an earlier capture left there is continued.
     identity : dict
-        What must be the same when a capture is gone on with: the camera's settings, for instance. Plain JSON values.
-    tell : callable
-        Hears what is being done.
+        Must be the same when a capture is continued: the camera's settings, for instance. Plain JSON values.
+    notify : callable
+        Called with what is being done.
     report : callable
         Hears what has come of it: a pose that was taken, or why one is taken again.
 
@@ -104,10 +104,10 @@ class GuidedCapture:
         studio: Studio,
         folder: Path,
         identity: dict[str, Any],
-        tell: Callable[[str], None],
+        notify: Callable[[str], None],
         report: Callable[[str], None],
     ) -> None:
-        self._studio, self._folder, self._tell, self._report = studio, folder, tell, report
+        self._studio, self._folder, self._notify, self._report = studio, folder, notify, report
         self._shown: _Shown | None = None
         self._probe = RigProbe(studio)
         _continue_session(folder, identity | {"size of the projector's pictures": "{}x{}".format(*studio.projector_px)})
@@ -122,7 +122,7 @@ class GuidedCapture:
         OutputError
             The folder's pictures have another size than the camera's frames.
         """
-        self._tell("looking for faults of the rig")
+        self._notify("looking for faults of the rig")
         for fault in self._probe.faults():
             raise CalibrationError(fault.words)
         # A camera that is cropped or binned since then takes other frames.
@@ -224,7 +224,7 @@ class GuidedCapture:
         """
         folder, size_px = self._folder / POSES, self._studio.projector_px
         for place in sorted(folder.glob("pose-*")):
-            self._tell(f"reading {place.name}")
+            self._notify(f"reading {place.name}")
             captures = CapturedFolder(place, multishot_sequence(size_px).names)
             guide.add(measure_pose(place.name, captures, board, size_px))
         failures = 0
@@ -358,7 +358,7 @@ class GuidedCapture:
 
     def _looks(self, line: str) -> Iterator[ImageArray]:
         """Yield what the camera sees, now and then."""
-        self._tell(line)
+        self._notify(line)
         start_s = self._studio.now_s()
         while self._studio.now_s() - start_s < _PATIENCE_S:
             yield self._studio.take()[-1]
@@ -386,7 +386,7 @@ class GuidedCapture:
         there = captured_files(work)
         for number, name in enumerate(names, start=1):
             if name not in there:
-                self._tell(f"picture {number} of {len(names)}: {name}")
+                self._notify(f"picture {number} of {len(names)}: {name}")
                 _write_picture(work / f"{name}.png", self.photograph(name, codes(name)))
         return CapturedFolder(work, names)
 

@@ -84,7 +84,7 @@ class FlashMeter:
     code : float
         Of the lit bars; no exposure may saturate them.
     exposure_s, gain_db : float
-        Of the camera while bars are told apart.
+        Of the camera while bars are distinguished.
     to_light : callable
         The inverse of the camera's tone curve.
 
@@ -166,13 +166,13 @@ class FlashMeter:
         """Return the mean light of lit and dark bars, (2, bands, 3), of bands of rows."""
         return np.array([[self._to_light(frame[place]).mean(axis=0) for place in places] for places in self._places])
 
-    def cycle(self, tell: Callable[[str], None] = lambda line: None) -> LightCycle | None:
+    def cycle(self, notify: Callable[[str], None] = lambda line: None) -> LightCycle | None:
         """Return the cycle of the light; None: the light is constant, or repeats with no period that cameras see."""
         shortest_s = max(self._studio.exposures_s[0], _SHORTEST_S)
         exposures_s = np.linspace(shortest_s, self._longest_s, _EXPOSURES)
         found = []
         for number, exposure_s in enumerate(exposures_s, start=1):
-            tell(f"exposure {number} of {_EXPOSURES}")
+            notify(f"exposure {number} of {_EXPOSURES}")
             found.append(self.variation(float(exposure_s)))
         ranges = np.array([each.projector.max() for each in found])
         if np.percentile(ranges, 75) < _CONSTANT:

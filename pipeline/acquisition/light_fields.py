@@ -175,7 +175,7 @@ def fit_fields(
     light : (F, B, 4, 3)
         Of red, green, blue and white bars, in frames and bands of rows, in the camera's channels.
     times_s : (F,)
-        When frames were exposed, plus a constant.
+        Times of the exposures, plus a constant.
     rows : (B,)
         Middles of the bands.
     exposure_s : float

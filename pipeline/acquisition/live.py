@@ -57,11 +57,11 @@ class LiveFrame:
     number : int
         The number under which it was offered.
     exposed_at_s : float
-        When it was exposed, by `time.monotonic`.
+        Time of its exposure, by `time.monotonic`.
     latency_s : float
         Time from the exposure until all arrays were there.
     warnings : tuple of str
-        What the user should know, a sentence each; of a frame that cannot be decoded, why.
+        Warnings for the user, one sentence each; of a frame that cannot be decoded, why.
     range_unit : {"mm", "rad"}
         Unit of `range_image` and `sigma`: mm with a calibrated geometry.
     range_image : (H, W) float32
@@ -74,7 +74,7 @@ class LiveFrame:
         Place in the camera's frame in mm (x right, y down, z forward); NaN outside the mask. None without a calibrated
         geometry.
     texture : (H, W, 3) uint8 or None
-        The surface's colour without fringes, sRGB. None unless the decoder was told to give it.
+        The surface's colour without fringes, sRGB. None unless the decoder was set to give it.
 
     Examples
     --------
@@ -130,7 +130,7 @@ class WatchedFrame:
 
 
 class _Decoded(NamedTuple):
-    """What the process reports of a frame whose arrays are in shared memory."""
+    """The process's report on a frame whose arrays are in shared memory."""
 
     slot: int
     number: int
@@ -141,7 +141,7 @@ class _Decoded(NamedTuple):
 
 @dataclass(frozen=True)
 class _LiveTask:
-    """What the process is given when it starts."""
+    """Arguments of the process."""
 
     offered: Any  # shared memory of the frame to decode
     decoded: Any  # and of two decoded frames: one is read while the other is written
@@ -170,16 +170,16 @@ class LiveDecoder:
     size_px : (width, height)
         Size of every frame, whose array is (height, width, 3) or (height, width).
     settings : DecodeSettings, optional
-        How to decode.
+        Settings to decode with.
     calibration : Calibration, optional
         The rig; with its geometry, ranges are in mm.
     format : PixelFormat
-        How frames are stored: RGB in one (H, W, 3) plane, or a Bayer mosaic (H, W). OpenCV's BGR is
+        Format of frames: RGB in one (H, W, 3) plane, or a Bayer mosaic (H, W). OpenCV's BGR is
         ``PixelFormat("rgb", channels="bgr")``.
     arch : {"auto", "cpu", "vulkan", "cuda", "metal"}
-        Where to compute; a named one never falls back.
+        Device to compute on; a named one never falls back.
     texture : bool
-        Whether frames get their texture, which takes half as long again as decoding.
+        True if frames get their texture, which takes half as long again as decoding.
 
     Raises
     ------
@@ -257,7 +257,7 @@ class LiveDecoder:
 
     @property
     def ready(self) -> bool:
-        """Whether kernels are compiled and no frame is being decoded: the next one offered is taken."""
+        """True if kernels are compiled and no frame is being decoded: the next one offered is taken."""
         with self._lock:
             self._listen()
             return self._idle
@@ -293,12 +293,12 @@ class LiveDecoder:
         number : int
             The number by which `latest` names it.
         exposed_at_s : float
-            When it was exposed, by `time.monotonic`, which all processes of a machine share.
+            Time of its exposure, by `time.monotonic`, which all processes of a machine share.
 
         Returns
         -------
         bool
-            Whether it will be decoded.
+            True if it will be decoded.
 
         Raises
         ------
@@ -439,6 +439,6 @@ class _LiveWorker:
             fringe = fringe[rows, columns, colors[rows % 2, columns % 2]]
         else:
             fringe = fringe[..., ["rgb0".index(channel) % 3 for channel in format.channels]]
-        # With a decoder of its own: the first frame is to tell the light.
+        # With a decoder of its own: the first frame is to determine the light.
         decoder = Decoder(settings, self._task.calibration, arch=self._task.arch)
         self._write(decoder.decode(self._develop((fringe * format.white_level).astype(format.dtype))), 0)

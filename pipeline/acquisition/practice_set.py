@@ -24,16 +24,16 @@ from tikernels import runtime
 #: What lies in the folder.
 LIGHT, POSES, SECOND_POSES = "light", "poses", "second-board"
 BALL, PLANE, TRUTH, OBJECTS = "ball.png", "plane.png", "truth.json", "objects.json"
-#: The two boards: every picture shows them whole, with squares of some 30 and 24 px.
+#: The two boards: every picture shows them whole, with squares of about 30 and 24 px.
 BOARD = Board(kind="chessboard", squares=(10, 7), square_mm=22.0)
 SECOND_BOARD = Board(kind="chessboard", squares=(10, 7), square_mm=18.0)
 #: The ball that `simulate_frame` shows: its radius, and its middle in the camera's frame.
 BALL_RADIUS_MM, BALL_MIDDLE_MM = 85.0, (0.0, 0.0, 880.0)
 # Ten poses, two more than are needed, so that one may be left out; of the second board two.
 _N_POSES, _N_SECOND = 10, 2
-# The camera reads out the middle of its sensor of 640x480 px: that keeps 12 px a cycle, and saves half of the disk.
+# The camera reads out the middle of its sensor of 640x480 px: that keeps 12 px per cycle, and saves half of the disk.
 _CORNER_PX, _SIZE_PX = (80, 60), (480, 360)
-# Each pose stands aside in another direction than the ones before: by the golden angle, which fills a circle evenly.
+# Each pose is off the axis in another direction than the ones before: by the golden angle, which fills a circle evenly.
 _TURN_RAD = np.pi * (3 - np.sqrt(5))
 # A board moves aside in such steps, mm, until its squares are so near to the picture's rim, px.
 _STEP_MM, _RIM_PX = 2.0, 4.0
@@ -46,7 +46,7 @@ _NOISE_LEVELS = 1.0
 _COMPRESSION = 6
 
 
-def write_practice(folder: Path, arch: str, tell: Callable[[str], None]) -> Calibration:
+def write_practice(folder: Path, arch: str, notify: Callable[[str], None]) -> Calibration:
     """Write captures for every step of a rig's calibration, and its truth: all, or nothing.
 
     Parameters
@@ -56,9 +56,9 @@ def write_practice(folder: Path, arch: str, tell: Callable[[str], None]) -> Cali
         ``second-board`` (of `multishot_sequence`, a folder a pose), ``ball.png`` and ``plane.png`` under the coded
         pattern, ``truth.json`` (a calibration) and ``objects.json`` (where ball and plane are).
     arch : str
-        Where light and objects are rendered; boards are by NumPy.
-    tell : callable
-        Hears what is being done.
+        Device that renders light and objects; boards are by NumPy.
+    notify : callable
+        Called with what is being done.
 
     Returns
     -------
@@ -80,16 +80,16 @@ def write_practice(folder: Path, arch: str, tell: Callable[[str], None]) -> Cali
         folder.parent.mkdir(parents=True, exist_ok=True)
         work = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
         try:
-            _write_light(work / LIGHT, rig, tell)
+            _write_light(work / LIGHT, rig, notify)
             for name, board, count, seed in (
                 (POSES, BOARD, _N_POSES, 1),
                 (SECOND_POSES, SECOND_BOARD, _N_SECOND, 2),
             ):
-                tell(f"{name}: pose 1 of {count}")
+                notify(f"{name}: pose 1 of {count}")
                 for k, captures in enumerate(practice_poses(board, count, seed), start=1):
                     _write_captures(work / name / f"pose-{k:02d}", captures)
-                    tell(f"{name}: pose {min(k + 1, count)} of {count}")
-            tell("a ball and a plane under the pattern")
+                    notify(f"{name}: pose {min(k + 1, count)} of {count}")
+            notify("a ball and a plane under the pattern")
             _write_objects(work, rig)
             rig.write(work / TRUTH)
             work.chmod(0o755)
@@ -135,13 +135,13 @@ def _towards_rim(rig: Calibration, board: Board, turn: FloatArray, depth_mm: flo
         place = place + step
 
 
-def _write_light(folder: Path, rig: Calibration, tell: Callable[[str], None]) -> None:
+def _write_light(folder: Path, rig: Calibration, notify: Callable[[str], None]) -> None:
     """Write what the camera sees of a white plane under every plain field."""
     width, height = DEFAULT_PROJECTOR_PX
     names = radiometry_sequence(DEFAULT_PROJECTOR_PX).names
     folder.mkdir()
     for seed, name in enumerate(names):
-        tell(f"{LIGHT}: field {seed + 1} of {len(names)}")
+        notify(f"{LIGHT}: field {seed + 1} of {len(names)}")
         field = np.broadcast_to(radiometry_codes(name).astype(np.float32), (height, width, 3))
         settings = _settings("plane", seed, exposure=_EXPOSURE)
         image = simulate_frame(rig, settings, np.ascontiguousarray(field)).image

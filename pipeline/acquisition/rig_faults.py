@@ -66,7 +66,7 @@ class RigProbe:
     lit : (H, W) bool
         Pixels that the projector lights.
     delay_s : float
-        How long a picture takes to the screen, once `measure_delay` was called.
+        Delay from a picture to the screen, once `measure_delay` was called.
     noise : float
         Largest RMS difference of two frames of a plain picture, of full scale, once `flicker` was called.
     variation : float
@@ -74,7 +74,7 @@ class RigProbe:
     px_per_px : float
         Projector px per camera px, once `mirrored` was called.
     takes : int
-        How often frames are taken whose mean is compared: more where the room's light flickers.
+        Number of frames whose mean is compared: more where the room's light flickers.
     """
 
     def __init__(self, studio: Studio) -> None:

@@ -54,7 +54,7 @@ def with_values(text: str, values: Mapping[str, float | list[float]]) -> str:
 
 
 def change_file(path: Path, values: Mapping[str, float | list[float]]) -> tuple[Path | None, list[str]]:
-    """Write other values into a file, and keep the old one beside it.
+    """Write other values into a file, and keep the old one next to it.
 
     Parameters
     ----------

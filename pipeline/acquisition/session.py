@@ -39,7 +39,7 @@ class Stopping:
     def listening(self) -> Iterator[None]:
         """Take the requests that come in here."""
         names = ["SIGINT", "SIGTERM"]
-        # Windows has none; and nohup asks to go on when the terminal is closed.
+        # Windows has none; and nohup means to continue when the terminal is closed.
         if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
             names.append("SIGHUP")
         before = {name: signal.signal(getattr(signal, name), self._take) for name in names}
@@ -60,12 +60,12 @@ class Stopping:
         self.check()
 
     def check(self) -> None:
-        """Stop if that was asked for, and nothing has come of it: libraries have lost a KeyboardInterrupt before.
+        """Stop if that was requested, and has had no effect: libraries have lost a KeyboardInterrupt before.
 
         Raises
         ------
         KeyboardInterrupt
-            It was asked for.
+            It was requested.
         """
         if self.asked and not self._closing:
             self._raised = True
@@ -83,14 +83,14 @@ class Stopping:
 
 @dataclass(frozen=True)
 class CaptureSummary:
-    """What became of a capture."""
+    """Result of a capture."""
 
     n_bursts: int
     n_frames: int
     n_rejected: int
     recording: Path
     stopped: bool  # by its user, before all bursts were there
-    notes: tuple[str, ...]  # what could not be seen or held, a sentence each
+    notes: tuple[str, ...]  # what could not be seen or held, one sentence each
 
 
 def capture_bursts(
@@ -102,11 +102,11 @@ def capture_bursts(
     calibration: Calibration | None,
     decoding: DecodeSettings,
     stopping: Stopping,
-    tell: Callable[[CaptureProgress], None] = lambda progress: None,
+    notify: Callable[[CaptureProgress], None] = lambda progress: None,
 ) -> CaptureSummary:
     """Capture bursts until there are enough, or until it is stopped.
 
-    Whatever happens, what was whole is kept: a burst stands in the recording and in its log, or in neither.
+    Whatever happens, what was whole is kept: a burst is in the recording and in its log, or in neither.
 
     Parameters
     ----------
@@ -117,20 +117,20 @@ def capture_bursts(
     folder : Path
         The folder to make: the recording, ``log.jsonl`` and ``calibration.json``.
     plan : CapturePlan
-        How much is captured, and how it is kept.
+        The number of bursts, and the way to keep them.
     calibration : Calibration, optional
         The rig's.
     decoding : DecodeSettings
-        How frames are decoded live.
+        Settings for live decoding.
     stopping : Stopping
-        Where Ctrl-C comes in.
-    tell : callable, optional
-        Hears how the capture stands, at its start and after every burst that is kept or thrown away.
+        The handler of Ctrl-C.
+    notify : callable, optional
+        Called with the progress, at the start and after every burst that is kept or thrown away.
 
     Raises
     ------
     RigError, TriggerError, CameraError, BurstError
-        See `Rig`; or the camera sends a Bayer mosaic and does not say which.
+        See `Rig`; or the camera sends a Bayer mosaic and does not report which.
     CalibrationError
         The calibration is for frames of another size.
     SettingsError
@@ -149,10 +149,10 @@ def capture_bursts(
 
         def reject(rejected: Rejected) -> None:
             kept.reject(rejected)
-            tell(kept.progress())
+            notify(kept.progress())
 
         stopping.check()
-        tell(kept.progress())
+        notify(kept.progress())
         kept.wait_for_live()
         bursts = rig.bursts(endless=plan.endless)
         try:
@@ -160,7 +160,7 @@ def capture_bursts(
                 with stopping.shield():
                     kept.keep(burst)
                     n_taken += 1
-                tell(kept.progress())
+                notify(kept.progress())
             kept.wait_for_live()
         except KeyboardInterrupt:
             stopped = n_taken != plan.n_bursts
@@ -178,7 +178,7 @@ def watch_bursts(
     calibration: Calibration | None,
     decoding: DecodeSettings,
     arch: str,
-    tell: Callable[[WatchedFrame, int], None],
+    notify: Callable[[WatchedFrame, int], None],
 ) -> None:
     """Decode the newest frame of one burst after the other, and keep none of them, until KeyboardInterrupt.
 
@@ -187,9 +187,9 @@ def watch_bursts(
     settings, open_instruments, calibration, decoding
         See `capture_bursts`.
     arch : str
-        Where to compute.
-    tell : callable
-        Hears, at the start and after every burst, which frame is decoded, and how many bursts were thrown away.
+        Device to compute on.
+    notify : callable
+        Called at the start and after every burst, with the frame that is decoded and the number of bursts thrown away.
 
     Raises
     ------
@@ -204,11 +204,11 @@ def watch_bursts(
             calibration = calibration.as_read_out(limits.size_px, SensorPart.of(limits), "the camera's frame")
         with LiveDecoder(limits.size_px, decoding, calibration, format, arch) as decoder:
             watched = WatchedFrame(decoder, format)
-            tell(watched, 0)
+            notify(watched, 0)
             decoder.wait(LIVE_READY_S)
             number = 0
             with closing(rig.bursts(endless=True)) as bursts:
                 for burst in bursts:
                     number += len(burst.frames)
                     watched = watched.offered(burst.frames[-1], number - 1)
-                    tell(watched, len(rejected))
+                    notify(watched, len(rejected))

@@ -48,7 +48,7 @@ class SimulatedCamera:
     Parameters
     ----------
     faults : CameraFaults
-        What the camera does.
+        Faults of the camera.
     noise : float
         Standard deviation, of 255 levels.
     rng : Generator

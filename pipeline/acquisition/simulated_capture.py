@@ -3,7 +3,7 @@
 The head is rendered once at each of its places. A frame shows one of them, with noise of its own; the exposure is the
 same for all. The rig is that of `simulated_studio`, and is decoded by the calibration that it has found by itself.
 
-Python hears Ctrl-C between two of its own steps, and a kernel that is compiled is one step of up to seconds. So what
+Python notices Ctrl-C between two of its own steps, and a kernel that is compiled is one step of up to seconds. So what
 the camera sees is rendered in a process of its own, where kernels hold up nobody.
 """
 
@@ -38,7 +38,7 @@ from pipeline.simulation import (
 )
 from tikernels import runtime
 
-#: `colorphase capture --rig simulated`, as its file would say it.
+#: `colorphase capture --rig simulated`, as its file would specify it.
 SETTINGS = RigSettings.model_validate(
     {
         "trigger": {"driver": "simulated", "strobe": True},
@@ -64,7 +64,7 @@ _NOISE_PLACES = 2**20
 
 @dataclass(frozen=True)
 class SceneTask:
-    """What is to be rendered."""
+    """A scene to be rendered."""
 
     arch: str
     n_places: int  # from one side to the other
@@ -89,7 +89,7 @@ class SceneCamera:
     period_s : float
         From frame to frame. The head is at a place for one period: frames of a burst show one place after another.
     webcam : bool
-        Whether it is a webcam, which exposes by its own clock: the next time after it is told to.
+        True for a webcam, which exposes by its own clock: the next time after it is triggered.
     """
 
     def __init__(self, scene: Scene, period_s: float, *, webcam: bool) -> None:
@@ -146,9 +146,9 @@ def render_elsewhere(task: SceneTask, step: Callable[[str], None]) -> Scene:
     Parameters
     ----------
     task : SceneTask
-        What to render, and where.
+        The scene, and the device that renders it.
     step : callable
-        Told what is being done.
+        Called with what is being done.
 
     Raises
     ------
@@ -172,7 +172,7 @@ def render_elsewhere(task: SceneTask, step: Callable[[str], None]) -> Scene:
 
 
 def render_what_comes() -> None:
-    """Render one task, in a process of its own; say each step, and at last the scene."""
+    """Render one task, in a process of its own; report each step, and at last the scene."""
     serve(lambda receive, say: say(render_scene(receive(), say)))
 
 
@@ -214,9 +214,9 @@ def simulated_instruments(
     wiring : RigSettings
         Its exposure, its calibration, whether its camera is a webcam, and which outputs are wired back.
     arch : str
-        Where the frames are rendered, in a process of its own.
+        Device that renders the frames, in a process of its own.
     step : callable
-        Told what is being done.
+        Called with what is being done.
 
     Raises
     ------

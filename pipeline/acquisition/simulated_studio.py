@@ -63,7 +63,7 @@ class StudioFaults:
     at_once: bool = False  # in a cycle all colours are lit together, and then none is; else one after another
     shown: FloatArray | None = None  # (3, 2) cycles, when red, green and blue go on and off; None: a third each
     row_s: float = 0.0  # from one row's exposure to the next one's
-    jitter_s: float = 0.0  # standard deviation of the times that the camera tells
+    jitter_s: float = 0.0  # standard deviation of the times that the camera reports
     focus_px: float = 0.0  # sigma of the projector's blur, of its own px
     light: float = 1.0  # part of the projector's light that the exposure at the start sees
     room: float = 0.0  # room light, of full scale at the exposure at the start; it flickers at 100 Hz
@@ -168,31 +168,31 @@ class SimulatedStudio:
     Parameters
     ----------
     held : Board, BallBar, Plate or Relief, optional
-        What is held before it; None: a white sheet stands there.
+        Object that is held before it; None: a white sheet.
     exposure_s : float
         The camera's.
-    tell : callable, optional
-        Hears the line of every guidance.
+    notify : callable, optional
+        Called with the line of every guidance.
     truth : Calibration, optional
         The rig's geometry; None: `simulated_truth`.
     light : CaptureLight
-        What happens between the projector's codes and the camera's levels.
+        Light between the projector's codes and the camera's levels.
     faults : StudioFaults
-        What is wrong with it.
+        Faults of the rig.
     seed : int, optional
         Of its noise and its operator's hands; None: fresh ones.
 
     Attributes
     ----------
     n_acts : int
-        How often its operator has done something.
+        Number of its operator's actions.
     """
 
     def __init__(
         self,
         held: Board | BallBar | Plate | None,
         exposure_s: float = 1 / 60,
-        tell: Callable[[str], None] = lambda line: None,
+        notify: Callable[[str], None] = lambda line: None,
         *,
         truth: Calibration | None = None,
         light: CaptureLight = LIGHT,
@@ -200,7 +200,7 @@ class SimulatedStudio:
         seed: int | None = None,
     ) -> None:
         self.n_acts = 0 if held is not None else 1
-        self._held, self._exposure_s, self._tell, self._faults, self._seed = held, exposure_s, tell, faults, seed
+        self._held, self._exposure_s, self._notify, self._faults, self._seed = held, exposure_s, notify, faults, seed
         self._truth, self._path = simulated_truth() if truth is None else truth, light
         self._rng = np.random.default_rng(seed)
         self._camera = SimulatedCamera(faults.camera, light.noise, self._rng)
@@ -230,7 +230,7 @@ class SimulatedStudio:
 
     @property
     def taken_s(self) -> list[float]:
-        """When the last frames were exposed; see `Studio`."""
+        """Times of the last frames' exposures; see `Studio`."""
         return [start_s + self._faults.jitter_s * self._rng.standard_normal() for start_s in self._starts_s]
 
     @property
@@ -269,8 +269,8 @@ class SimulatedStudio:
         return frames
 
     def guide(self, guidance: Guidance) -> None:
-        """Have the operator go where the guidance says; see `Studio`."""
-        self._tell(guidance.line)
+        """Have the operator go where the guidance leads; see `Studio`."""
+        self._notify(guidance.line)
         pose = guidance.line.partition(":")[0]
         if guidance.outline_px is None or pose == self._pose:
             return
@@ -286,7 +286,7 @@ class SimulatedStudio:
         """Do nothing: nothing is there."""
 
     def _projected(self, picture: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-        """Return what the projector makes of a picture."""
+        """Return a picture as the projector shows it."""
         faults = self._faults
         if faults.mirrored:
             picture = np.ascontiguousarray(picture[:, ::-1])

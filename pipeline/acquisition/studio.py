@@ -63,7 +63,7 @@ class Studio(Protocol):
 
     @property
     def taken_s(self) -> list[float]:
-        """When the last frames were exposed, plus a constant, by the camera's clock if it has one."""
+        """Times of the last frames' exposures, plus a constant, by the camera's clock if it has one."""
 
     def set_camera(self, exposure_s: float, gain_db: float) -> float:
         """Set exposure and gain, and return the exposure as read back; the camera starts afresh."""
@@ -101,13 +101,13 @@ class RigStudio:
         Opens the trigger source and the camera of a rig's settings.
     picture : Path
         A PNG of what the operator should see, written anew whenever that changes.
-    tell : callable
-        Hears the line of every guidance.
+    notify : callable
+        Called with the line of every guidance.
 
     Raises
     ------
     ProjectorError, TriggerError, CameraError, RigError
-        An instrument cannot be reached or used, or the camera sends a Bayer mosaic and does not say which.
+        An instrument cannot be reached or used, or the camera sends a Bayer mosaic and does not report which.
     """
 
     def __init__(
@@ -115,9 +115,9 @@ class RigStudio:
         settings: RigSettings,
         open_instruments: Callable[[RigSettings], tuple[Trigger, Camera]],
         picture: Path,
-        tell: Callable[[str], None],
+        notify: Callable[[str], None],
     ) -> None:
-        self._picture, self._tell = picture, tell
+        self._picture, self._notify = picture, notify
         timing = settings.timing.replace(frames=FRAMES)
         projector = settings.projector.replace(alternating=False)
         self._settings = settings.replace(timing=timing, projector=projector)
@@ -166,7 +166,7 @@ class RigStudio:
 
     @property
     def taken_s(self) -> list[float]:
-        """When the last frames were exposed; see `Studio`."""
+        """Times of the last frames' exposures; see `Studio`."""
         return self._taken_s
 
     def set_camera(self, exposure_s: float, gain_db: float) -> float:
@@ -204,7 +204,7 @@ class RigStudio:
 
     def guide(self, guidance: Guidance) -> None:
         """Write the operator's picture; see `Studio`."""
-        self._tell(guidance.line)
+        self._notify(guidance.line)
         if guidance.frame is None:
             return
         drawn = draw_guidance(guidance)
@@ -239,7 +239,7 @@ def draw_guidance(guidance: Guidance) -> npt.NDArray[np.uint8]:
     """Return what the operator should see, (H, W, 3) RGB, given the camera's frame.
 
     The place that the board should be at is outlined, corners that are seen are dots, those of the poses before are
-    small dots, and the line stands below.
+    small dots, and the line is below.
     """
     if guidance.frame is None:
         raise ValueError("there is no frame to draw on")

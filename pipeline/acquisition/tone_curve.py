@@ -75,7 +75,7 @@ def measure_tone_curve(probe: RigProbe, code: float, takes: int = 3) -> ToneCurv
     code : float
         Of lit pixels.
     takes : int
-        How often frames are taken of each picture.
+        Number of frames of each picture.
     """
     width, height = probe.studio.projector_px
     y, x = np.arange(height)[:, None], np.arange(width)

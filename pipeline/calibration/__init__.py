@@ -1,4 +1,4 @@
-"""Measure a rig: its lenses, where they stand, and its light; and keep what was measured."""
+"""Measure a rig: its lenses, their poses, and its light; and keep what was measured."""
 
 from typing import TYPE_CHECKING
 

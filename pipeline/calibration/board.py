@@ -40,7 +40,7 @@ _MIN_BALANCE = 0.3
 _WINDOW_PX = 7
 # A board has up to 39 by 39 corners; the strongest saddles of a picture that is full of things are searched.
 _MAX_SADDLES = 2000
-# Peaks that are looked at closely, at most: OpenCV reads no more than 32767 rows at once.
+# Peaks that are examined closely, at most: OpenCV reads no more than 32767 rows at once.
 _MAX_PEAKS = 20000
 # A corner's first two ways are found among this many of its nearest saddles of other sign.
 _NEIGHBOURS = 8
@@ -314,7 +314,7 @@ class Board(Model):
         Returns
         -------
         (N,) int, (N, 2) float64
-            Which of `corners_mm`, and where, px. A chessboard may be numbered from either end.
+            Numbers in `corners_mm`, and places, px. A chessboard may be numbered from either end.
 
         Raises
         ------

@@ -33,7 +33,7 @@ _MIN_REACH_PX = 4
 _SMOOTHING_PX, _ADDED_PX2 = 1.0, 1.0 + 1 / 3
 #: Poses at least: three determine a lens, and with eight a wrong one stands out from the others.
 MIN_POSES = 8
-# A pose with fewer corners says little of the lenses in addition to its own place (six parameters).
+# A pose with fewer corners shows little of the lenses in addition to its own place (six parameters).
 _MIN_CORNERS = 12
 # The radius around a corner in which projector coordinates are fitted, over a square's side on the camera's image:
 # below one, so that it ends before the next corners.
@@ -60,7 +60,7 @@ class PictureEvidence:
 
     @property
     def moved_px(self) -> float:
-        """The largest move of the corners while the pictures were taken; 0 where none was looked for."""
+        """The largest move of the corners while the pictures were taken; 0 where none was searched for."""
         return max((moved for _, moved in self.drift_px), default=0.0)
 
     @property
@@ -77,7 +77,7 @@ def edge_blur_px(grey: FloatArray, corners: FloatArray, side_px: float) -> float
     grey : (H, W)
         Any scale.
     corners : (N, 2)
-        Where black meets white, px.
+        Places where black meets white, px.
     side_px : float
         A square's side.
 
@@ -143,10 +143,10 @@ class BoardPose:
     corners_mm: FloatArray  # (N, 3)
     camera_px: FloatArray  # (N, 2)
     projector_px: FloatArray  # (N, 2)
-    camera_shift_px: FloatArray  # (3, 2) what R, G and B say more than their mean; NaN where squares are too small
+    camera_shift_px: FloatArray  # (3, 2) how R, G and B differ from their mean; NaN where squares are too small
     projector_shift_px: FloatArray  # (3, 2) the same in the projector, at the same camera pixel
     jacobian: FloatArray  # (2, 2) projector px a camera px, mean
-    evidence: PictureEvidence | None = None  # what else the pictures show; None: not looked for
+    evidence: PictureEvidence | None = None  # what else the pictures show; None: not examined
 
 
 def measure_pose(
@@ -161,11 +161,11 @@ def measure_pose(
     Parameters
     ----------
     name : str
-        What the pose is called in messages.
+        Name for messages.
     captures : mapping from name to (H, W, 3)
         The captures of `multishot_sequence`.
     board : Board
-        What stands there.
+        The board in the pose.
     projector_size_px : (width, height)
         The projector's.
     white_level : float, optional
@@ -206,7 +206,7 @@ def measure_pose(
         )
     jacobian = np.mean(jacobians, axis=0)
     if np.linalg.det(jacobian) < 0:
-        # A chessboard looks the same in a mirror; a ChArUco board's markers have said that the camera is right.
+        # A chessboard looks the same in a mirror; a ChArUco board's markers have shown that the camera is right.
         who = "the projector's picture" if board.kind == "charuco" else "the camera's picture or the projector's"
         raise CalibrationError(f"{name}: {who} is mirrored: switch off mirror, rear-projection or ceiling mode")
     return BoardPose(
@@ -295,7 +295,7 @@ class MeasuredPoses:
     """The poses that could be measured."""
 
     poses: list[BoardPose]
-    refused: tuple[str, ...]  # why others could not, a sentence each
+    refused: tuple[str, ...]  # why others could not, one sentence each
     camera_size_px: tuple[int, int]
     sensor: SensorPart | None = None  # the part of the camera's that all captures are; None: not known of all
 
@@ -315,13 +315,13 @@ def measure_poses(
         A folder with a folder per pose, each with the captures of `multishot_sequence`, or footage with all poses; see
         `find_poses`.
     board : Board
-        What stands there.
+        The board in the pose.
     projector_size_px : (width, height)
         The projector's.
     white_level : float, optional
         Full scale; None: the type's.
     least : int
-        How many poses are needed.
+        Number of poses needed.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Both lenses, where they stand and every pose of a board, refined together by least squares.
+"""Both lenses, their poses and every pose of a board, refined together by least squares.
 
 The projector is a second camera. What is minimised is the sum of the squared distances, px over their standard
 deviation, from measured corners to those that the parameters predict, and of the lenses' distortion over what lenses
@@ -145,12 +145,12 @@ class BundleAdjustment:
         stands : (6,)
             Rotation vector and place, mm.
         scale : float
-            How many times as large as given the board is.
+            Factor by which the board is larger than given.
 
         Returns
         -------
         (N, 2 devices, 2), (N, 2, 2, 30)
-            Errors, px, and their derivatives: by the 24 parameters of lenses and step, and by where the board stands.
+            Errors, px, and their derivatives: by the 24 parameters of lenses and step, and by the board's pose.
         """
         turn, place, p = stands[:3], stands[3:], self.parameters
         corners = scale * pose.corners_mm
@@ -173,8 +173,8 @@ class BundleAdjustment:
     def board_bow(self) -> BoardBow:
         """Return how far the board is bent, by the residuals that its corners share in all poses.
 
-        A bent board is taken for z = a x^2 + b x y + c y^2 about its middle: three parameters more, solved for with all
-        others by one step of Gauss and Newton.
+        A bent board is modelled as z = a x^2 + b x y + c y^2 about its middle: three parameters more, solved for with
+        all others by one step of Gauss and Newton.
         """
         size = len(self.parameters)
         system, right = np.zeros((size + 3, size + 3)), np.zeros(size + 3)
@@ -204,7 +204,7 @@ class BundleAdjustment:
         return BoardBow(float(highest @ bow), sigma)
 
     def _stands(self, k: int) -> FloatArray:
-        """Return where a pose's board stands: rotation vector and place, mm."""
+        """Return a board's pose: rotation vector and place, mm."""
         return self.parameters[24 + 6 * k : 30 + 6 * k]
 
     def _rms_px(self, device: int) -> float:
@@ -239,7 +239,7 @@ class BundleAdjustment:
         return np.asarray(np.linalg.norm(self.corner_residuals_px(k), axis=-1))
 
     def rough_stand(self, pose: BoardPose) -> FloatArray:
-        """Return roughly where a board stands that need not be one of the fit's: rotation vector and place, (6,)."""
+        """Return roughly the pose of a board that need not be one of the fit's: rotation vector and place, (6,)."""
         lens = self.parameters[:9]
         matrix = np.array([[lens[0], 0, lens[2]], [0, lens[1], lens[3]], [0, 0, 1]])
         _, turn, place = cv2.solvePnP(pose.corners_mm, pose.camera_px, matrix, lens[4:])

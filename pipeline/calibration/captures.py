@@ -21,7 +21,7 @@ from tikernels.raw.linearization import WHITE_LEVELS
 
 #: What a sequence is called in its folder.
 SEQUENCE_FILE = "sequence.json"
-#: What a guided capture says of itself in its folder, and the key of the part of the sensor that its pictures are.
+#: Description of a guided capture in its folder, and the key of the part of the sensor that its pictures are.
 SESSION, SENSOR = "session.json", "part of the sensor"
 _SUFFIXES = (".png", ".tif", ".tiff")
 # Full scales, levels, of cameras whose 10, 12 or 14 bits come in 16-bit files.
@@ -48,7 +48,7 @@ def write_sequence(
     folder : Path
         A folder that does not exist yet, or is empty.
     sequence : PictureSequence
-        What to write.
+        Pictures to write.
     codes : callable
         From a name to (height, width, 3) projector codes, 0..1.
 
@@ -110,7 +110,7 @@ def captured_files(folder: Path) -> dict[str, Path]:
 
 
 def _sensor_of(folder: Path) -> SensorPart | None:
-    """Return the part of the sensor that the captures in a folder are, where their session says so."""
+    """Return the part of the sensor that the captures in a folder are, where their session states it."""
     # Those of a pose lie in a folder of all poses.
     for file in (folder.parent / SESSION, folder.parent.parent / SESSION):
         if file.exists():

@@ -28,7 +28,7 @@ from pipeline.models import FloatArray, ImageArray
 #: Patches of the chart, along and down.
 COLUMNS, ROWS = 6, 4
 _BLACK = "0-black"
-# The middle of a patch that is looked at, as a part of its pitch.
+# The middle of a patch that is measured, as a part of its pitch.
 _MIDDLE = 0.4
 # Light, of full scale, that counts half: noise and stray light are about as much. From this part of it on pixels may be
 # saturated.
@@ -45,7 +45,7 @@ _ROUNDS = 10
 _MAX_MISFIT, _SHADOW = 0.12, 0.25
 # A primary's own wavelength that is less sure than this is not determined by the chart, nm.
 _UNSURE = 15.0
-# What is known of a reflectance, at the least.
+# What is known of a reflectance, at least.
 _LEAST_RHO = 0.01
 
 
@@ -202,7 +202,7 @@ def _of_primary(
     weights = (np.maximum(light, 0) / (np.maximum(light, 0) + _HALF)) ** 2
     slope, chosen = np.zeros(2), np.zeros(3, int)
     rests = np.zeros_like(seen)
-    # The channel that is named after the primary sees most of it, and says where it is.
+    # The channel that is named after the primary sees most of it, and shows where it is.
     for turn in range(_ROUNDS):
         flat = seen - (slope @ place)[:, None]
         for channel in sorted(range(3), key=lambda i: i != primary):

@@ -69,7 +69,7 @@ def radiometry_figure(found: Radiometry) -> "Figure":
     Parameters
     ----------
     found : Radiometry
-        What was measured.
+        Measured light.
 
     Returns
     -------
@@ -353,7 +353,7 @@ def _draw_devices(axes: "Axes", centre: FloatArray, axis: int) -> None:
     label = f"baseline, {np.linalg.norm(centre):.1f} mm"
     axes.plot([0, centre[2]], [0, centre[axis]], color="black", linewidth=2.5, label=label, zorder=4)
     above = centre[axis] < 0  # the axis runs downwards
-    # The camera last and smaller: from above it may stand before the projector.
+    # The camera last and smaller: from above it may hide the projector.
     for name, place, color, marker, size, is_above in (
         ("projector", centre, _PROJECTOR, "s", 10, above),
         ("camera", np.zeros(3), _CAMERA, "o", 6, not above),

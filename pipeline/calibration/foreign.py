@@ -63,7 +63,7 @@ def read_foreign(
     path : Path
         The file; a ``calibration.json`` is returned as it is.
     pattern : Pattern
-        What frames are taken with.
+        Pattern of the frames.
     camera_px, projector_px : (width, height), optional
         Sizes where the file states none.
     mm_per_unit : float, optional

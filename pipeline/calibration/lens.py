@@ -39,7 +39,7 @@ _Side = Annotated[int, Field(gt=0, lt=2**20)]
 _ANGLES, _RADII = 72, np.geomspace(1e-3, 20, 1000)
 # OpenCV's iteration ends after a few steps, but near a fold.
 _MOST_STEPS = 200
-# A ray is the one looked for if it reaches its place to this.
+# A ray is the right one if it reaches its place to this.
 _CLOSE_PX = 1e-3
 
 

@@ -1,4 +1,4 @@
-"""A calibrated rig: both lenses, where they stand, and how light turns into grey levels."""
+"""A calibrated rig: both lenses, their poses, and how light turns into grey levels."""
 
 import hashlib
 import json
@@ -72,7 +72,7 @@ class Pattern(Model):
 
     period_px: Annotated[float, Field(ge=4, le=LARGEST)]  # projector px per cycle
     stripes: Literal["horizontal", "vertical"] = "horizontal"
-    #: By what a place's cycle is told: "contrast": each cycle's modulation; "contrast2": that of its cells.
+    #: Code that identifies a place's cycle: "contrast": each cycle's modulation; "contrast2": that of its cells.
     code: CodeName | None = None
     code_version: Annotated[Literal[1], BeforeValidator(_known_version)] = _CODE_VERSION  # of its symbols
     cell_px: Annotated[float, Field(ge=_LEAST_CELL_PX, le=LARGEST)] | None = None  # projector px along the stripe
@@ -88,7 +88,7 @@ class Pattern(Model):
 
 
 class ColorShift(Model):
-    """Lateral colour: where R, G and B land, each (x, y) in px from where the lens matrix says."""
+    """Lateral colour: where R, G and B land, each (x, y) in px relative to the lens matrix."""
 
     error_type = CalibrationError
 
@@ -113,7 +113,7 @@ class Uncertainty(Model):
 
 @dataclass(frozen=True)
 class Geometry:
-    """The lenses, and where they stand: X_projector = rotation @ X_camera + translation_mm."""
+    """The lenses, and their poses: X_projector = rotation @ X_camera + translation_mm."""
 
     camera: Lens
     projector: Lens
@@ -172,7 +172,7 @@ class Geometry:
         size_px : (width, height)
             The frame's.
         what : str
-            What the message calls it.
+            Name for messages.
 
         Raises
         ------
@@ -283,11 +283,11 @@ class Calibration(Model):
 
     @property
     def has_geometry(self) -> bool:
-        """True where it states where camera and projector stand."""
+        """True where it states the poses of camera and projector."""
         return self.camera is not None
 
     def geometry(self) -> Geometry:
-        """Return where camera and projector stand.
+        """Return the poses of camera and projector.
 
         Raises
         ------
@@ -362,7 +362,7 @@ class Calibration(Model):
         sensor : SensorPart, optional
             The part of the sensor that they are. Where it or the calibration's is not known, only sizes are compared.
         what : str
-            What messages call them.
+            Name for messages.
 
         Raises
         ------

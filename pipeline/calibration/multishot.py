@@ -28,7 +28,7 @@ _STEPS, _DIGITS = 3, 2
 _AXES = ("column", "row")
 # Digits' codes are spaced evenly in light if the projector's gamma is this.
 _USUAL_GAMMA = 2.0
-# Gammas of the projector and the camera together that are looked for.
+# Gammas of the projector and the camera together that are tried.
 _GAMMAS = np.linspace(0.6, 4.0, 341)
 # Turns of three iterations to a fixed point, which four reach.
 _TURNS = 8
@@ -58,7 +58,7 @@ class ProjectorMap:
     """Projector coordinates of the light that every camera pixel sees."""
 
     position_px: FloatArray  # (H, W, 2) column, row; NaN where unknown
-    channel_shift_px: FloatArray  # (3, H, W, 2) what R, G and B alone say more than their sum
+    channel_shift_px: FloatArray  # (3, H, W, 2) how R, G and B alone differ from their sum
     white: FloatArray  # (H, W, 3) the capture of all white, 0..1
 
 
@@ -129,7 +129,7 @@ def decode_multishot(
     size_px : (width, height)
         The projector's.
     where : str
-        What errors call these captures.
+        Name for messages.
     white_level : float, optional
         Full scale; None: the type's.
 
@@ -263,7 +263,7 @@ def _cycle_numbers(
     high, low = digits
     number = high * levels + np.where(high % 2 == 0, low, levels - 1 - low)
     number = np.where(part > 0.5, number - 1, number)
-    # Pixels whose digits are blurred go on from the nearest that are not.
+    # Pixels whose digits are blurred continue from the nearest that are not.
     sure &= ~unsure
     if not sure.any():
         return number.astype(np.float64), valid
@@ -286,7 +286,7 @@ def _seen_levels(shares: FloatArray, expected: FloatArray) -> FloatArray:
 
 
 def _torn(place: FloatArray, part: FloatArray, valid: npt.NDArray[np.bool_]) -> float:
-    """Return how often the place leaps where the phase goes on, for every cycle that neighbouring pixels pass."""
+    """Return how often the place leaps where the phase continues, for every cycle that neighbouring pixels pass."""
     inside = cv2.erode(valid.astype(np.uint8), np.ones((_RIM_PX, _RIM_PX))) > 0
     leaps, cycles = 0.0, 1.0
     for axis in (0, 1):

@@ -53,7 +53,7 @@ class CapturedFrames(Mapping[str, ImageArray]):
     Parameters
     ----------
     source : Footage
-        Where they are.
+        Footage that contains them.
     numbers : dict
         The frame of each name.
     """
@@ -94,7 +94,7 @@ def find_captures(
     place : Path
         A folder of pictures, a recording, a folder with one, or a video.
     sequence : PictureSequence
-        What was projected.
+        Pictures that were projected.
     orientations : list of int, optional
         See `CapturedFolder`.
 
@@ -136,7 +136,7 @@ def find_poses(place: Path, sequence: PictureSequence) -> Iterator[tuple[str, Ca
     place : Path
         A folder with a folder, a recording or a video per pose, or footage with all of them.
     sequence : PictureSequence
-        What was projected.
+        Pictures that were projected.
     """
     entries: list[Path] = []
     if place.is_dir() and not any((place / name).exists() for name in (_RECORDING, "zarr.json")):

@@ -1,7 +1,7 @@
 """Choose the next pose of a calibration board, and decide whether its poses suffice and agree.
 
 Every pose adds to the normal matrix of the bundle adjustment. Its own place, six parameters, is eliminated (Schur's
-complement), so that the rest is what the pose tells of the lenses and of the step between them:
+complement), so that the rest is what the pose shows of the lenses and of the step between them:
 
     A = K'K - K'J (J'J)^-1 J'K,
 
@@ -66,11 +66,11 @@ class PoseGuide:
     Parameters
     ----------
     board : Board
-        What is held.
+        The board that is held.
     camera_px, projector_px : (width, height)
         The sizes of both.
     pattern : Pattern
-        What will be projected when frames are decoded.
+        Pattern of the frames to be decoded.
     """
 
     def __init__(
@@ -216,7 +216,7 @@ class PoseGuide:
         return True
 
     def _information(self, fit: BundleAdjustment, stands: FloatArray) -> FloatArray:
-        """Return what a pose would tell of the rig's parameters, (24, 24); see the module."""
+        """Return the information of a pose on the rig's parameters, (24, 24); see the module."""
         corners = self._board.corners_mm()
         middle = np.array([*self._board.squares, 0]) / 2 * self._board.square_mm
         nowhere = np.zeros((len(corners), 2))

@@ -98,7 +98,7 @@ def measure_radiometry(
     captures : mapping from name to (H, W, 3) uint8, uint16 or float32
         The captures of `radiometry_sequence`, of a neutral white target that need not be lit evenly.
     transfer : {"linear", "srgb", "bt709"}, optional
-        How the camera encodes light; None: measured.
+        Encoding of the camera's light; None: measured.
     white_level : float, optional
         Full scale; None: the type's.
 

@@ -1,4 +1,4 @@
-"""Solve where camera and projector stand, and what their lenses do, from a board in several poses.
+"""Solve for the poses of camera and projector, and for their lenses, from a board in several poses.
 
 Poses that repeat others or do not fit are left out of the bundle adjustment, and a result that the poses do not support
 is refused.
@@ -219,7 +219,7 @@ def solve_geometry(
     second: SecondBoard | None = None,
     sensor: SensorPart | None = None,
 ) -> GeometryFit:
-    """Calibrate both lenses and where they stand.
+    """Calibrate both lenses and their poses.
 
     Parameters
     ----------
@@ -228,7 +228,7 @@ def solve_geometry(
     camera_size_px, projector_size_px : (width, height)
         The two devices' sizes in px.
     pattern : Pattern
-        What will be projected when frames are decoded.
+        Pattern of the frames to be decoded.
     base : Calibration, optional
         A calibration whose light is kept.
     baseline_mm : float, optional

@@ -56,9 +56,9 @@ class View(ABC):
     turn : (3,)
         The thing's rotation vector.
     place_mm : (3,)
-        Where its middle lies, in the camera's frame.
+        Place of its middle, in the camera's frame.
     light : CaptureLight
-        What happens on the way.
+        Light on the way.
     samples : int
         Rays per pixel, along either side.
     """
@@ -144,7 +144,7 @@ class BoardView(View):
     board : Board
         With a margin of one square of white around it; beyond it is nothing.
     bow_mm : float
-        How far its left and right edges are bent away from the camera.
+        Distance by which its left and right edges are bent away from the camera.
     """
 
     def __init__(

@@ -64,8 +64,8 @@ _SMALL_PX, _SMALL = 12.0, 0.6
 _FEW_SHARE, _FEW = 0.6, 0.1
 #: What a frame's own noise leaves of phase, rad: 0.007 to 0.014 on skin, smoothed as by default (docs/accuracy.md).
 FRAME_NOISE_RAD = 0.01
-# Parts of the distance. With the first a face of 200 mm is wrong by 0.07 mm, which is what a frame's noise makes of a
-# point 900 mm away; with the second by 0.2 mm, three times that.
+# Parts of the distance. With the first a face of 200 mm is wrong by 0.07 mm, which is the effect of a frame's noise on
+# a point 900 mm away; with the second by 0.2 mm, three times that.
 _GOOD, _USABLE = 1 / 3000, 1 / 1000
 # Boards whose normals differ by less, deg, hardly distinguish focal length from distance: two poses tilted by 15 deg to
 # either side differ by this.
@@ -102,7 +102,7 @@ class Verdict(ABC):
         """Return one line with the grade and its figures."""
 
     def lines(self) -> list[str]:
-        """Return all that there is to say, a line each."""
+        """Return the complete verdict, one line each."""
         return [self.in_words(), *(f"better: {advice}" for advice in self.advice)]
 
 
@@ -134,7 +134,7 @@ def judge_radiometry(found: Radiometry, geometry: Geometry | None) -> Radiometry
     Parameters
     ----------
     found : Radiometry
-        What was measured.
+        Measured light.
     geometry : Geometry, optional
         The rig's, which turns a radian into mm.
     """
@@ -331,7 +331,7 @@ def depth_slopes(
     axis : int
         Projector axis along which the phase changes.
     depth_mm : float
-        Where the object is.
+        Depth of the object.
     """
     width, height = camera_size_px
     grid = np.stack(np.meshgrid(np.linspace(0.2, 0.8, 3) * width, np.linspace(0.2, 0.8, 3) * height), -1).reshape(
@@ -376,7 +376,7 @@ class GeometryVerdict(Verdict):
         )
 
     def lines(self) -> list[str]:
-        """Return all that there is to say, a line each."""
+        """Return the complete verdict, one line each."""
         worst, *faulty = self.poses
         poses = [f"worst pose: {worst.in_words()}", *(f"look at {pose.in_words()}" for pose in faulty)]
         return [*poses, *super().lines()]
@@ -397,9 +397,9 @@ def judge_geometry(
     camera_size_px : (width, height)
         The camera's.
     pattern : Pattern
-        What frames are taken with.
+        Pattern of the frames.
     depth_range_mm : (nearest, farthest), optional
-        Where objects will stand; None: where the boards stood.
+        Where objects will be; None: where the boards were.
     """
     depths = fit.depths_mm()
     distance = float(np.median(depths) if depth_range_mm is None else np.mean(depth_range_mm))

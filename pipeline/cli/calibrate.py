@@ -97,7 +97,7 @@ def radiometry(
     calibration
         An earlier calibration, whose geometry is kept.
     transfer
-        How the camera encodes light; left out, it is measured.
+        Encoding of the camera's light; left out, it is measured.
     exposure_s
         Exposure, s, to be compared when frames are decoded.
     gain
@@ -229,7 +229,7 @@ def geometry(
     calibration: Path | None = None,
     force: Replace = False,
 ) -> None:
-    """Measure both lenses and where camera and projector stand, from a board in eight poses or more.
+    """Measure both lenses and the poses of camera and projector, from a board in eight poses or more.
 
     Example: colorphase calibrate geometry --make fringes, project and capture all of them in each pose of the board, a
     folder a pose, then colorphase calibrate geometry poses --board chessboard --squares 10x7 --square-mm 24 --out
@@ -241,7 +241,7 @@ def geometry(
         Folder with one folder per pose, each with the captures under the names that the pictures have or in the order
         of projection, or with a recording; or one such folder, recording or video with all poses.
     board
-        What the board is.
+        Kind of the board.
     out
         The calibration to write; a picture of corners, poses and rig is written next to it.
     baseline_mm

@@ -53,8 +53,8 @@ class _Capture:
 def radiometry(*, rig: _Rig, out: _Captures) -> None:
     """Show 33 plain pictures on a white sheet, take each, and measure the rig's light.
 
-    Stopped at any time, it goes on where it was when it is called again. The calibration is the one that the rig's file
-    names, else calibration.json in the folder; its geometry is kept.
+    Stopped at any time, it continues where it was when it is called again. The calibration is the one that the rig's
+    file names, else calibration.json in the folder; its geometry is kept.
 
     Example: colorphase calibrate capture radiometry --rig rig.toml --out captures
     """
@@ -83,7 +83,7 @@ def geometry(
     """Say where to hold a board, take its pictures in each pose, and measure lenses and places.
 
     A pose is taken when the board has been still for 2 s, or Enter is pressed. It ends when another pose would hardly
-    lower the uncertainty of depth. Stopped at any time, it goes on where it was when it is called again. The
+    lower the uncertainty of depth. Stopped at any time, it continues where it was when it is called again. The
     calibration is the one that the rig's file names, else calibration.json in the folder; its light is kept.
 
     Example: colorphase calibrate capture geometry --rig rig.toml --out captures --board chessboard --squares 11x8
@@ -111,7 +111,7 @@ def geometry(
 
 @contextmanager
 def _capturing(rig: str, out: Path, board: Board | None) -> Iterator[_Capture]:
-    """Open a rig for a guided capture, its faults looked for."""
+    """Open a rig for a guided capture, checked for faults."""
     settings = SETTINGS if rig == SIMULATED else read_rig(rig)
     target = out / CALIBRATION if settings.calibration is None else Path(settings.calibration)
     with opened_studio(settings, rig, board, out / GUIDE) as (studio, show):
@@ -143,8 +143,8 @@ def everything(
 ) -> None:
     """Show and take the pictures of a calibration, and calibrate the rig: its light, then its geometry.
 
-    First a white sheet stands before the rig, then a board is held where the command says. Stopped at any time, it goes
-    on where it was when it is called again. radiometry and geometry do one of the two.
+    First a white sheet is put before the rig, then a board is held where the command says. Stopped at any time, it
+    continues where it was when it is called again. radiometry and geometry do one of the two.
 
     Example: colorphase calibrate capture --rig rig.toml --out captures --board chessboard --squares 11x8 --square-mm 24
     """

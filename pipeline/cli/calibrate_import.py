@@ -48,7 +48,7 @@ def import_calibration(
     region
         The part of its sensor that the camera shows now: x,y,width,height in px of the calibration.
     binning
-        How many columns and rows it now joins to one, as in 2x2; after the region.
+        Number of columns and rows it now joins to one, as in 2x2; after the region.
     """
     check_target(out, force=force)
     camera_px = None if camera_size is None else size_of(camera_size, "--camera-size")

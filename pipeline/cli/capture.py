@@ -51,11 +51,11 @@ def capture(
     out
         The folder to make.
     bursts
-        How many; left out, one, or with --endless or --keep-last as many as come until Ctrl-C.
+        Number of bursts; left out, one, or with --endless or --keep-last as many as come until Ctrl-C.
     endless
         Let pulses run on without a gap, until Ctrl-C.
     keep_last
-        Keep frames in memory until Ctrl-C, and record only the seconds before it that this says.
+        Keep frames in memory until Ctrl-C, and record only this many seconds before it.
     view
         Decode the newest frame meanwhile, and show it in the browser.
     """
@@ -81,7 +81,7 @@ def capture(
             page = _page(out.name, at) if view else nullcontext()
             with chosen.showing_pattern() as keep, page as subject:
 
-                def tell(progress: CaptureProgress) -> None:
+                def notify(progress: CaptureProgress) -> None:
                     show(_line(progress))
                     if subject is not None and progress.watched is not None:
                         subject.hear(progress.watched, progress.n_rejected)
@@ -95,7 +95,7 @@ def capture(
                     calibration=chosen.calibration,
                     decoding=read_settings(settings),
                     stopping=stopping,
-                    tell=tell,
+                    notify=notify,
                 )
         _say_summary(summary, out, calibrated=chosen.calibration is not None)
         if not summary.n_frames or (summary.stopped and bursts is not None):

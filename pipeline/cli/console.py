@@ -44,14 +44,14 @@ if TYPE_CHECKING:
 _TOGETHER_S = 0.2
 # A rate over less is none.
 _LEAST_S = 1.0
-# What was done before says nothing of now: frames of one film take longer than others.
+# Earlier work shows nothing of the present rate: frames of one film take longer than others.
 _LONGEST_S = 30.0
 #: Exit code where some frames are bad, or damaged, and the rest is not.
 SOME_ARE_BAD = 3
 
 
-# Where there is no terminal, a line says how it stands whenever this time is over: short commands say nothing, and logs
-# of hours stay short.
+# Where there is no terminal, a line reports the progress whenever this time is over: short commands print nothing, and
+# logs of hours stay short.
 _RARELY_S = 30.0
 
 
@@ -101,7 +101,7 @@ class _Printed(Console):
                 yield Segment(lines, segment.style)
 
     def _check_buffer(self) -> None:
-        """Write what has been rendered; where a remark cannot be written, there is no place to say so."""
+        """Write what has been rendered; where a remark cannot be written, there is no place to report it."""
         try:
             super()._check_buffer()
         except OSError as error:
@@ -133,20 +133,20 @@ def frames(count: int) -> str:
 
 def remark(line: str) -> None:
     """Print a remark, in yellow, on standard error."""
-    _tell(line, "yellow")
+    _print(line, "yellow")
 
 
-def _tell(line: str, style: str) -> None:
+def _print(line: str, style: str) -> None:
     stderr.print(one_line(line), style=style, highlight=False, soft_wrap=True)
 
 
 class _Progress:
-    """One line that says how something stands: always on a terminal, where it goes when it is over; elsewhere rarely.
+    """One line that reports progress: always on a terminal, where it goes when it is over; elsewhere rarely.
 
     Parameters
     ----------
     columns : ProgressColumn
-        What the line on a terminal has.
+        Parts of the line on a terminal.
     """
 
     def __init__(self, *columns: ProgressColumn) -> None:
@@ -154,7 +154,7 @@ class _Progress:
         self._task: TaskID = self._bar.add_task("starting", total=None, rate="")
         self._since_s = time.monotonic()
         self._ended = Event()
-        self._thread = Thread(target=self._tell_rarely, name="progress", daemon=True)
+        self._thread = Thread(target=self._report_rarely, name="progress", daemon=True)
 
     def __enter__(self) -> "_Progress":
         self._bar.start()
@@ -178,18 +178,18 @@ class _Progress:
         """Say how much is done, and how fast."""
         self._bar.update(self._task, completed=done, total=of, rate=rate)
 
-    def _tell_rarely(self) -> None:
+    def _report_rarely(self) -> None:
         while not self._ended.wait(_RARELY_S):
             task = self._bar.tasks[0]
             counts = "" if task.total is None else f" {task.completed:.0f} of {task.total:.0f}"
             parts = [f"{task.description}{counts}", task.fields["rate"]]
             elapsed_s = time.monotonic() - self._since_s
-            _tell(", ".join(part for part in (*parts, f"after {elapsed_s:.0f} s") if part), "")
+            _print(", ".join(part for part in (*parts, f"after {elapsed_s:.0f} s") if part), "")
 
 
 @contextmanager
 def steps() -> Iterator[Callable[[str], None]]:
-    """Show what is being done and for how long; what is yielded hears what it is."""
+    """Show what is being done and for how long; what is yielded is called with what it is."""
     with _Progress(SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn()) as line:
         yield line.say
 
@@ -225,7 +225,7 @@ class Count:
 
 @contextmanager
 def counted(what: str) -> Iterator[Count]:
-    """Show how many frames are done, and how fast; what is yielded hears how many, and of how many."""
+    """Show how many frames are done, and how fast; what is yielded is called with how many, and of how many."""
     columns = BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}", markup=False)
     with _Progress(TextColumn("{task.description}", markup=False), *columns, TimeElapsedColumn()) as line:
         line.say(what)
@@ -266,7 +266,7 @@ NewCalibration = Annotated[Path | None, Parameter(help="The calibration to write
 @Parameter(name="*")
 @dataclass(frozen=True)
 class PageOptions:
-    """Where the page is."""
+    """Address of the page."""
 
     port: Annotated[int, Parameter(validator=bounded(0, 65535))] = 0
     """The page's port on this machine; left out, one that is free."""
@@ -359,8 +359,8 @@ def run(command: Callable[[], object]) -> None:
         line = str(error) if isinstance(error, Error) else _limit_of_the_system(error)
         if line is None:
             raise
-        _tell(f"error: {line}", "red")
+        _print(f"error: {line}", "red")
         sys.exit(1)
     except KeyboardInterrupt as stopped:
-        _tell(str(stopped) or "interrupted", "red")
+        _print(str(stopped) or "interrupted", "red")
         sys.exit(130)

@@ -121,7 +121,7 @@ def decode(
     """Decode a picture, or footage: a folder of pictures, a video or a recording.
 
     A picture gives result.zarr, mesh.ply, range.png, shaded.png and report.json, footage result.zarr. Run again, it
-    goes on where it was stopped. Exit code 3: some frames are bad or show nothing, the rest is done; 1: nothing was
+    continues where it was stopped. Exit code 3: some frames are bad or show nothing, the rest is done; 1: nothing was
     measured.
 
     Example: colorphase decode face.png --out face --settings settings.toml --calibration calibration.json, or
@@ -194,7 +194,7 @@ def _decode_video(
     *,
     force: bool,
 ) -> None:
-    """Decode footage and say what became of it; exit with code 3 where frames are bad."""
+    """Decode footage and report the result; exit with code 3 where frames are bad."""
     store = f"{out.rstrip('/')}/{STORE}"
     if options.export is not None:
         _check_meshes(out, options.fields, options.export, in_mm=calibration is not None and calibration.has_geometry)
@@ -256,7 +256,7 @@ def _say_summary(summary: DecodeSummary, store: str) -> None:
     first = min(summary.warned, default=None)
     doubt = None if first is None else summary.warned[first][0]
     for note in summary.notes:
-        if note != doubt:  # which is said below
+        if note != doubt:  # which is reported below
             remark(f"note: {note}")
     if summary.damaged:
         number, fault = min(summary.damaged.items())

@@ -28,11 +28,11 @@ class ColorChoice:
     """The meaning and the look of colours."""
 
     colors: Colors | None = None
-    """What colours show; left out, nothing (clay), so that relief is seen."""
+    """Meaning of colours; left out, none (clay), so that relief is seen."""
     limits: tuple[float, float] | None = None
     """The values with the first and the last colour, in mm, rad or levels; left out, by what is drawn."""
     colormap: Colormap | None = None
-    """Which colours values have; left out, turbo, or blue to red where zero is in the middle."""
+    """Colours of values; left out, turbo, or blue to red where zero is in the middle."""
     transparent: bool = False
     """Leave a still picture transparent where no surface is."""
 
@@ -62,9 +62,9 @@ class Placement:
 
     axes: AxesName | None = None
     """Axes of the input: y-up (x right, z towards the camera), z-up (x right, y away from it), camera (x right, y
-    down, z away from it); left out, as the file says."""
+    down, z away from it); left out, as the file states."""
     unit: UnitName | None = None
-    """Unit of the input; left out, as the file says."""
+    """Unit of the input; left out, as the file states."""
     compare_axes: AxesName | None = None
     """Axes of the mesh to compare with."""
     compare_unit: UnitName | None = None
@@ -95,8 +95,8 @@ def render(
 ) -> None:
     """Draw a surface, or frames of a result.zarr, off screen: a still picture, a turntable, or a film of all frames.
 
-    A film that was stopped goes on by the same command. Exit code 3: some frames are missing, empty or
-    damaged, the rest is drawn.
+    A film that was stopped is continued by the same command. Exit code 3: some frames are missing, empty or damaged,
+    the rest is drawn.
 
     Example: colorphase render face/mesh.ply --out face.png --view front --colors depth, or
     colorphase render face/mesh.ply --out turntable.mp4 --turn 360, or
@@ -121,19 +121,19 @@ def render(
     camera_path
         A TOML file with the way of a film's eye, a table keyframes for each place: at, position, focal_point, up.
     turn
-        How far a film's eye goes round the surface, degrees.
+        Angle by which a film's eye goes round the surface, degrees.
     sway
-        How far it swings to either side, once, degrees.
+        Angle by which it swings to either side, once, degrees.
     compare
         Another mesh, the signed distance from which colours show, in place of --colors.
     buffers
-        What to write in addition to a still: NAME.depth.tiff (float32, mm before the eye), NAME.normals.png.
+        Files to write in addition to a still: NAME.depth.tiff (float32, mm before the eye), NAME.normals.png.
     size
         Width and height of the picture in px.
     fps
         A film's pictures a second, one a frame; left out, 30.
     seconds
-        How long the film of a single surface is; left out, 4.
+        Length of the film of a single surface; left out, 4.
     """
     asked = {"frame": frame, "fps": fps, "seconds": seconds, "turn": turn, "sway": sway, "camera-path": camera_path}
     given = {name for name, value in asked.items() if value is not None} | ({"buffers"} if buffers else set())
@@ -201,7 +201,7 @@ def _pictures_in(folder: Path, inputs: tuple[str, ...]) -> dict[str, Path]:
 def _read(
     path: str | Path, frame: int | None, axes: AxesName | None, unit: UnitName | None, options: str | None
 ) -> Mesh:
-    """Return a mesh; one that does not say how it lies is refused where options that say it are named, else told of."""
+    """Return a mesh; refuse one without a known orientation where options that state it are named, else warn."""
     mesh, known = read_placed(path, frame, axes, unit)
     if not known and options is not None:
         asked = {"axes": "y-up, z-up or camera"} if axes is None else {}
@@ -237,7 +237,7 @@ def _refuse_useless(
 
 
 def _refuse_pairs(*groups: dict[str, object]) -> None:
-    """Refuse options that say the same thing in different words."""
+    """Refuse options that mean the same in different words."""
     for group in groups:
         given = [f"--{name}" for name, value in group.items() if value is not None]
         if len(given) > 1:
@@ -271,7 +271,7 @@ def _render_still(
 def _render_film(
     subject: str | Mesh, out: Path, options: PictureOptions, number: int | None, compared: Mesh | None
 ) -> bool:
-    """Draw a film, say what became of it, and return whether every frame is seen."""
+    """Draw a film, report the result, and return whether every frame is seen."""
     from pipeline.output.film import render_film
 
     frame = None if isinstance(subject, Mesh) else number

@@ -80,7 +80,7 @@ def export(
 
 
 def _write_video(recording: Path, folder: Path | None, *, force: bool) -> None:
-    """Write a recording as a video of its name, and say where it is."""
+    """Write a recording as a video of its name, and print where it is."""
     video = (recording.parent if folder is None else folder) / f"{recording.stem}.mkv"
     if video.exists() and not force:
         raise OutputError(f"{video} exists: choose another folder, or --force replaces it")
@@ -90,7 +90,7 @@ def _write_video(recording: Path, folder: Path | None, *, force: bool) -> None:
 
 
 def write_frames(store: str, folder: Path, kind: str, options: MeshOptions, *, force: bool) -> bool:
-    """Write every frame of a store that is done, say what became of them, and return whether there is a file of each.
+    """Write every frame of a store that is done, report the result, and return whether there is a file of each.
 
     Raises
     ------

@@ -42,7 +42,7 @@ def expose(
     """Measure the projector's light, set the camera's exposure and gain to it, and name what is wrong with the rig.
 
     Put a still, bright surface before the rig, as a sheet of paper. It takes some minutes. The rig's file is changed,
-    with its comments kept, and the old one is kept beside it.
+    with its comments kept, and the old one is kept next to it.
 
     Example: colorphase expose --rig rig.toml --focus-s 60
 

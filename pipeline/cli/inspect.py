@@ -64,7 +64,7 @@ def _show(found: "Inspection", title: str) -> None:
         cost = "" if finding.cost_rad is None else f"{finding.cost_rad:.3f}"
         table.add_row(finding.topic, finding.found, cost, finding.advice, style=_STYLES[finding.grade])
     stdout.print(table)
-    for sentence in found.not_told:
+    for sentence in found.unknown:
         say(f"unknown: {sentence}")
     worst = "" if found.grade == "fine" else f" ({', '.join(found.topics(found.grade))})"
     say(_VERDICTS[found.grade] + worst)

@@ -33,11 +33,11 @@ def opened_studio(
     rig : str
         Its file, for messages.
     held : Board, BallBar, Plate or None
-        What the simulated operator holds; None: a white sheet stands there.
+        The object that the simulated operator holds; None: a white sheet.
     picture : Path
         The PNG that shows the operator of a real rig what to do.
     any_exposure : bool
-        Whether the exposure may be no whole number of the projector's cycles, which is refused else.
+        True if the exposure may be no whole number of the projector's cycles, which is refused else.
 
     Raises
     ------
@@ -55,7 +55,7 @@ def opened_studio(
                 row_s=settings.camera.row_s,
                 camera=WEBCAM if settings.camera.serial == WEBCAM_NAME else CameraFaults(),
             )
-            studio: Studio = SimulatedStudio(held, settings.camera.exposure_s, tell=show, faults=faults)
+            studio: Studio = SimulatedStudio(held, settings.camera.exposure_s, notify=show, faults=faults)
         else:
             if any_exposure:
                 projector = settings.projector.replace(colour_cycle_s=None)

@@ -171,7 +171,7 @@ def project(
     picture
         The PNG, of the display's size.
     display
-        Which one, as `colorphase devices` numbers them; left out, the only one there is.
+        Its number, as `colorphase devices` numbers them; left out, the only one there is.
     seconds
         Stop after this time, s.
     """
@@ -251,8 +251,8 @@ def status(*, rig: RigFile) -> None:
 
 def _switch(rig: Path, on: bool) -> None:
     with _opened(rig) as device, stderr.status("asking") as shown:
-        tell: Callable[[str], None] = shown.update
-        sure = device.power(on, tell)
+        notify: Callable[[str], None] = shown.update
+        sure = device.power(on, notify)
     what = "the projector is" if sure else "the projector does not report whether it is, but was switched"
     stdout.print(f"{what} {'on' if on else 'off'}")
 

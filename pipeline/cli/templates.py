@@ -22,7 +22,7 @@ from pipeline.settings import DecodeSettings
 _WIDTH = 118
 _FILL_IN = "FILL IN"
 _UNITS = {"_s": "s", "_db": "dB", "_px": "px"}
-# Plausible values where each rig has its own: of a camera at 20 frames a second before a projector at 60 Hz, whose
+# Plausible values where each rig has its own: of a camera at 20 frames per second before a projector at 60 Hz, whose
 # colour fields are thirds of a cycle.
 _EXAMPLES = {
     "calibration": "calibration.json",
@@ -57,7 +57,7 @@ def settings(file: Path, /, *, force: Replace = False) -> None:
 
 
 def settings_template() -> str:
-    """Return a settings file in which every default stands as a comment, below what it means."""
+    """Return a settings file in which every default is a comment, below what it means."""
     lines = ["# Settings for colorphase decode. What is commented out, or left out, has its default."]
     for name, field in DecodeSettings.model_fields.items():
         meaning = " ".join((field.description or "").split())
@@ -105,7 +105,7 @@ def rig(
 def rig_template(
     trigger: str, camera: str, control: str | None, display: int | None = None, serial: str | None = None
 ) -> str:
-    """Return a rig's file in which every key stands below what it means, a comment where it has its default.
+    """Return a rig's file in which every key follows its meaning, a comment where it has its default.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def rig_template(
     control : str or None
         The projector's; None: nothing switches it.
     display : int or None
-        Which display the projector is; None: something else shows the pattern.
+        Number of the projector's display; None: something else shows the pattern.
     serial : str or None
         The camera's serial number; None: the only camera there is.
 

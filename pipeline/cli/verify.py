@@ -9,10 +9,10 @@ _SHOWN = 10  # frames that are named
 
 
 def verify(input: str, /) -> None:
-    """Read all of a result or recording, and say which frames are whole.
+    """Read all of a result or recording, and report which frames are complete.
 
-    A capture whose program was killed is finished: what was whole stands under its name. Decoding again, with the same
-    options, repairs a result. Exit code 3: something is damaged.
+    A capture whose program was killed is finished: what was complete is kept under its name. Decoding again, with the
+    same options, repairs a result. Exit code 3: something is damaged.
 
     Example: colorphase verify film/result.zarr, or colorphase verify capture
 

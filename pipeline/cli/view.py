@@ -54,7 +54,7 @@ def view(
     ----------
     input
         A result.zarr or the folder that it is in; a picture, a folder of pictures, a video or a recording, of which
-        each frame is decoded when it is looked at; or a mesh.
+        each frame is decoded when it is shown; or a mesh.
     rig
         Instead: the rig's TOML file, or "simulated"; its newest frame is shown, and nothing is recorded.
     calibration
@@ -88,7 +88,7 @@ def _watch(rig: str, settings: Path | None, arch: str, at: PageOptions) -> None:
     subject = LiveSubject(Path(rig).stem)
     with chosen.showing_pattern() as keep, served(subject, at):
 
-        def tell(watched: "WatchedFrame", n_rejected: int) -> None:
+        def notify(watched: "WatchedFrame", n_rejected: int) -> None:
             subject.hear(watched, n_rejected)
             keep()
 
@@ -98,7 +98,7 @@ def _watch(rig: str, settings: Path | None, arch: str, at: PageOptions) -> None:
             calibration=chosen.calibration,
             decoding=read_settings(settings),
             arch=arch,
-            tell=tell,
+            notify=notify,
         )
 
 

@@ -49,5 +49,5 @@ def frame_levels(settings: DecodeSettings, statistics: FrameStatistics, white: f
         intensity=intensity,
         modulation=modulation,
         precision=precision,
-        least_telling=_TELLING * statistics.modulation * white,
+        least_reliable=_TELLING * statistics.modulation * white,
     )

@@ -1,6 +1,6 @@
 """Ball bar and plate, and the seven positions in the measuring volume that each is measured in; and a corrugated plate.
 
-VDI/VDE 2634 Part 2 asks for a bar of two balls in seven positions, which differ in place and direction, and for a plane
+VDI/VDE 2634 Part 2 requires a bar of two balls in seven positions, which differ in place and direction, and a plane
 in six or more.
 """
 

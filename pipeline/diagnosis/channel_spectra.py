@@ -169,7 +169,7 @@ def smooth_phase(
         weight = cv2.GaussianBlur(valid.astype(np.float32), (0, 0), 0.75 * period)
         rest = np.where(valid, filled - plane, 0.0).astype(np.float32)
         smooth = plane + cv2.GaussianBlur(rest, (0, 0), 0.75 * period) / np.maximum(weight, 1e-9)
-        # No ripple worth asking about reaches a radian: what does is a step, or a wrong order.
+        # No relevant ripple reaches a radian: what does is a step, or a wrong order.
         step = valid & (abs(filled - smooth) > 1.0)
         valid &= cv2.dilate(np.uint8(step), np.ones((3, 3))) == 0
     # Beside a straight edge, where the smoothing is one-sided, the weight is half; 0.6 cycles further in it is 0.8.
@@ -311,7 +311,7 @@ def waves_of_spectrum(spectrum: npt.NDArray[np.complex128]) -> FloatArray:
 
 
 def ripple_by_harmonic(waves: FloatArray, matrix: FloatArray) -> dict[int, float]:
-    """Return the phase error's amplitude by harmonic that a plain arctangent makes of balanced channels, rad."""
+    """Return the phase error's amplitude by harmonic of a plain arctangent on balanced channels, rad."""
     phase = np.arange(waves.shape[1]) * 2 * np.pi / waves.shape[1]
     vector = np.exp(-1j * PHASES) @ np.linalg.solve(matrix, waves)  # proportional to exp(i phase)
     error = np.fft.rfft(np.angle(vector * np.exp(-1j * phase))) / len(phase)
@@ -326,7 +326,7 @@ def clipping_ripple(
     spectrum: npt.NDArray[np.complex128],
     matrix: FloatArray,
 ) -> dict[int, float]:
-    """Return the ripple by harmonic that clipping makes of the waves, exceeded in a twentieth of the places."""
+    """Return the ripple by harmonic from clipping the waves, exceeded in a twentieth of the places."""
     size = (2 * round(period),) * 2
     weight = np.maximum(cv2.blur(np.float64(usable), size), 1e-9)[..., None]
     bright, dark = (

@@ -1,4 +1,4 @@
-"""How far a rig has drifted since its calibration, from two pictures of an object that has not moved.
+"""Drift of a rig since its calibration, from two pictures of an object that has not moved.
 
 A plane in an unknown place is not enough: under a projector that has turned it looks like a plane elsewhere. So a
 picture taken when the calibration was known to be right shows where the still object is, and one taken now at which
@@ -36,7 +36,7 @@ _ROUNDS = 20
 
 @dataclass(frozen=True)
 class Drift:
-    """How the projector's picture has moved since the calibration: values, and their standard deviations."""
+    """Motion of the projector's picture since the calibration: values, and their standard deviations."""
 
     offset_px: tuple[float, float]
     """Across the stripes, projector px: where it shows things has moved down in its picture, or to the right."""

@@ -55,14 +55,14 @@ _KEPT_PX = (768, 1024)
 _INSIDE = 0.95
 # A drift of the camera is alike in most places: a quarter of them may change by less than this part of the median.
 _EVEN = 0.5
-# A surface whose phase changes by less, rad, keeps its brightness: by 0.3 rad, some 2 mm of 900, light that falls with
+# A surface whose phase changes by less, rad, keeps its brightness: by 0.3 rad, about 2 mm of 900, light that falls with
 # the square of the distance changes by half a per cent. Noise makes less.
 _STILL_RAD = 0.3
 # Motion shows where a pixel's standard deviation is at most this many times what most have.
 _AS_SURE = 2.0
 # Places at least that show a drift.
 _MIN_PLACES = 12
-# Pairs of neighbours that are looked at, evenly spaced.
+# Pairs of neighbours that are inspected, evenly spaced.
 _PAIRS = 4
 # Frames of the run in the middle: as many as a sequence needs to show a beat.
 _RUN = MIN_FRAMES
@@ -70,7 +70,7 @@ _RUN = MIN_FRAMES
 
 @dataclass(frozen=True, eq=False)
 class InspectedFrame:
-    """One frame: light, and what decoding makes of it."""
+    """One frame: light, and its decoded phase."""
 
     number: int
     encoded: npt.NDArray[np.float32]  # (H, W, 3) as stored, 0..1 of full scale
@@ -87,7 +87,7 @@ class InspectedFrame:
 
 
 def inspect_frame(stored: StoredFrame, decoder: Decoder, settings: DecodeSettings) -> InspectedFrame:
-    """Decode a frame; `decoder` takes linear light, `settings` say how this frame's is encoded."""
+    """Decode a frame; `decoder` takes linear light, `settings` state how this frame's is encoded."""
     levels = runtime.to_host(develop(stored.planes, stored.format, stripes=settings.stripes))
     white = settings.white_level or WHITE_LEVELS[levels.dtype.name]
     repeated = find_repeated_chroma(levels, white)
@@ -253,7 +253,7 @@ def measure_scale(source: Footage, settings: DecodeSettings, calibration: Calibr
         if isinstance(stored, BadFrame):
             break
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DecodeWarning)  # said of the same frame without a calibration
+            warnings.simplefilter("ignore", DecodeWarning)  # reported of the same frame without a calibration
             look = inspect_frame(stored, Decoder(decoder_settings(settings), calibration, arch=arch), settings)
         frame = look.frame
         if frame is None or frame.points is None or frame.point_sigma is None:
@@ -332,7 +332,7 @@ class FootageEvidence:
     settings: DecodeSettings  # as given, with the container's transfer, and the stripes' true direction
     n_frames: int = 0
     bad: list[BadFrame] = field(default_factory=list)
-    no_fringes: dict[int, str] = field(default_factory=dict)  # frames without fringes, and what decoding says of them
+    no_fringes: dict[int, str] = field(default_factory=dict)  # frames without fringes, and the reasons
     kept: list[KeptFrame] = field(default_factory=list)  # the first with fringes of every run
     qualities: list[FrameQuality] = field(default_factory=list)
     motion_rad: list[float] = field(default_factory=list)  # of pairs of neighbours, 95th percentile
@@ -346,7 +346,7 @@ class FootageEvidence:
 
 
 def gather_evidence(
-    source: Footage, says: StoredAs, settings: DecodeSettings, arch: str, tell: Callable[[str], None]
+    source: Footage, says: StoredAs, settings: DecodeSettings, arch: str, notify: Callable[[str], None]
 ) -> FootageEvidence:
     """Look at frames all over some footage: pairs of neighbours, and a longer run in its middle.
 
@@ -357,15 +357,15 @@ def gather_evidence(
     says : StoredAs
         The user's statement of how pixels are stored.
     settings : DecodeSettings
-        How it is meant to be decoded.
+        Settings intended for decoding.
     arch : str
-        Where to compute.
-    tell : callable
+        Device to compute on.
+    notify : callable
         Called with what is being done.
     """
     if settings.transfer is None:
         settings = settings.replace(transfer=source.transfer or "linear")
-    gatherer = _Gatherer(source, says, settings, arch, tell)
+    gatherer = _Gatherer(source, says, settings, arch, notify)
     runs = _runs(len(source))
     middle, total = max(runs, key=len), sum(map(len, runs))
     with warnings.catch_warnings():
@@ -380,10 +380,10 @@ class _Gatherer:
     """Looks at one frame after another, and keeps what they show."""
 
     def __init__(
-        self, source: Footage, says: StoredAs, settings: DecodeSettings, arch: str, tell: Callable[[str], None]
+        self, source: Footage, says: StoredAs, settings: DecodeSettings, arch: str, notify: Callable[[str], None]
     ) -> None:
         self.seen = FootageEvidence(settings)
-        self._source, self._says, self._arch, self._tell = source, says, arch, tell
+        self._source, self._says, self._arch, self._notify = source, says, arch, notify
         self._decoder: Decoder | None = None
         self._sequence: list[KeptFrame] = []  # the frames of the run in the middle
 
@@ -395,17 +395,17 @@ class _Gatherer:
         run : range
             Their numbers.
         total : int
-            How many frames are looked at all in all.
+            Number of frames that are inspected in all.
         ask : bool
-            Whether to diagnose the first one with fringes, if none has been.
+            True to diagnose the first one with fringes, if none has been.
         follow : bool
-            Whether to keep them all as a sequence.
+            True to keep them all as a sequence.
         """
         before: tuple[StoredFrame, InspectedFrame] | None = None
         first = True
         for stored in self._source.frames(run.start, run.stop):
             self.seen.n_frames += 1
-            self._tell(f"frame {stored.number} ({self.seen.n_frames} of {total})")
+            self._notify(f"frame {stored.number} ({self.seen.n_frames} of {total})")
             inspected = self._inspect(stored)
             if isinstance(stored, BadFrame) or inspected is None:
                 before = None
@@ -431,7 +431,7 @@ class _Gatherer:
         """Diagnose the sequence, if every frame of it shows fringes."""
         if len(self._sequence) < _RUN:
             return
-        self._tell("motion and beat")
+        self._notify("motion and beat")
         self.seen.sequence = diagnose_sequence(
             [kept.light for kept in self._sequence],
             1.0,
@@ -472,7 +472,7 @@ class _Gatherer:
         format = self._source.format
         as_stored = format.siting in SITINGS and format.origin == (0, 0)  # not turned
         if format.subsampling[0] == 2 and as_stored and self._says.siting is None:
-            self._tell("where the colours sit")
+            self._notify("where the colours sit")
             self.seen.siting = fit_siting(stored, self.seen.settings, self._arch)
 
 

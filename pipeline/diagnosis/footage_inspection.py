@@ -42,7 +42,7 @@ GRADES: tuple[Grade, ...] = ("fine", "costs", "spoils")
 # A greater one, RMS rad, should not be put up with: a dark surface under a bad projector has less in good footage with
 # subsampled colours.
 _MOST_RAD = 0.06
-# Share of what is lit that may have no fringe to speak of: highlights have.
+# Share of what is lit that may have no significant fringe, as highlights.
 _LITTLE_FAINT = 0.02
 # Shares of the lit pixels whose phase is lost by clipping: up to the first it costs nothing, above the second it
 # spoils.
@@ -61,7 +61,7 @@ _ROUGH = 0.5
 _UNUSED_BITS = 2
 # What is the rig's and not the footage's: decoding learns it from a frame, or a calibration holds it.
 _OF_THE_RIG = {"response", "crosstalk", "even crosstalk"}
-_STILL_NOT_TOLD = "frames that are the same may be repeated, or nothing moved: this codec makes them alike either way"
+_STILL_UNKNOWN = "frames that are the same may be repeated, or nothing moved: this codec makes them alike either way"
 #: Exit code for footage that should not be used as it is.
 NOT_AS_IT_IS = 3
 
@@ -132,7 +132,7 @@ def _missing(places: Sequence[int]) -> tuple[int | None, int]:
 
 @dataclass(frozen=True)
 class FootageFinding:
-    """One thing that was looked at."""
+    """One property that was inspected."""
 
     topic: str  # a word for programs, as "chroma"
     found: str
@@ -420,7 +420,7 @@ def _drift_findings(seen: FootageEvidence) -> Iterator[FootageFinding]:
     )
 
 
-def not_told(seen: FootageEvidence, facts: ContainerFacts, source: Footage) -> Iterator[str]:
+def unknown_facts(seen: FootageEvidence, facts: ContainerFacts, source: Footage) -> Iterator[str]:
     """Yield what these frames cannot show, one sentence each."""
     if facts.lossy:
         yield "the camera's own noise: the codec has removed some of it"
@@ -435,7 +435,7 @@ def not_told(seen: FootageEvidence, facts: ContainerFacts, source: Footage) -> I
     else:
         yield "how long the camera exposed, and motion along the surface, which changes no phase"
     if seen.repeats and facts.predicts and not _moves(seen):
-        yield _STILL_NOT_TOLD
+        yield _STILL_UNKNOWN
     if seen.sequence is not None:
         yield from seen.sequence.notes
 
@@ -456,7 +456,7 @@ class Inspection:
     """All findings about some footage, the container's first."""
 
     findings: tuple[FootageFinding, ...]
-    not_told: tuple[str, ...]  # what these frames cannot show, one sentence each
+    unknown: tuple[str, ...]  # what these frames cannot show, one sentence each
     n_looked_at: int
     n_frames: int
 
@@ -479,22 +479,22 @@ def inspect_footage(
     says: StoredAs | None = None,
     settings: DecodeSettings | None = None,
     arch: str = "auto",
-    tell: Callable[[str], None] = lambda _: None,
+    notify: Callable[[str], None] = lambda _: None,
     calibration: Calibration | None = None,
 ) -> Inspection:
-    """Look at some twenty frames, however many there are, and say what their phase suffers from.
+    """Inspect about twenty frames, however many there are, and report what their phase suffers from.
 
     Parameters
     ----------
     path : str or Path
-        What `open_footage` opens.
+        Path for `open_footage`.
     says : StoredAs, optional
-        What the user says of how pixels are stored.
+        The user's description of how pixels are stored.
     settings : DecodeSettings, optional
-        How the footage is meant to be decoded.
+        Settings intended for decoding.
     arch : {"auto", "cpu", "vulkan", "cuda", "metal"}
-        Where to compute.
-    tell : callable
+        Device to compute on.
+    notify : callable
         Called with what is being done.
     calibration : Calibration, optional
         Of the rig, to give the costs of motion in mm.
@@ -509,11 +509,11 @@ def inspect_footage(
         The machine lacks the arch.
     """
     says, settings = says or StoredAs(), settings or DecodeSettings()
-    tell("opening")
+    notify("opening")
     with open_footage(path, **vars(says)) as source:
         runtime.init(arch)
         facts = container_facts(Path(path), source)
-        seen = gather_evidence(source, says, settings, arch, tell)
+        seen = gather_evidence(source, says, settings, arch, notify)
         scale = None if calibration is None else measure_scale(source, seen.settings, calibration, arch)
     findings = [*container_findings(facts, source), *frame_findings(seen, facts, settings)]
     open_questions = []
@@ -530,7 +530,7 @@ def inspect_footage(
             *time_findings(seen, typical),
             *cost_findings(seen, facts, typical, scale, source.size_px[1]),
         ]
-        open_questions += not_told(seen, facts, source)
+        open_questions += unknown_facts(seen, facts, source)
     if seen.n_frames < len(source):
         open_questions.append(
             f"what is wrong in frames between the {seen.n_frames} of {len(source)} that were looked at"

@@ -78,7 +78,7 @@ def diagnose_sequence(
     unwrapped_phases : sequence of (H, W) float32
         rad; any order a surface.
     masks : sequence of (H, W) bool
-        Where they hold.
+        True where they hold.
     geometry : Geometry, optional
         The rig; with it the depth bias is given in mm.
     crosstalk_matrix : (3, 3), optional

@@ -15,7 +15,7 @@ from tikernels.raw.linearization import Transfer
 
 
 class PictureReader:
-    """Reads frames and decodes them; what the settings leave open, the calibration says."""
+    """Reads frames and decodes them; what the settings leave open, the calibration states."""
 
     def __init__(self, source: Footage, calibration: Calibration, settings: DecodeSettings, arch: str) -> None:
         self.calibration = calibration = calibration.as_read_out(source.size_px, source.sensor, source.name)

@@ -55,7 +55,7 @@ _TILE_PX = 24
 # A surface whose averages deviate from the shape by more than this fraction of its distance is another shape: no rig
 # gets that far out of adjustment by itself.
 _OTHER_SHAPE = 0.01
-# Cycles to either side of the expected order in which a ball is looked for.
+# Cycles to either side of the expected order in which a ball is searched for.
 _ORDERS = 5
 # A deviation from the shape, mm, free of noise, that no calibration promises to be better than.
 _SHAPE_FLOOR_MM = 0.1
@@ -103,9 +103,9 @@ def check_surface(
     frame : DecodedFrame
         Decoded with the calibration.
     calibration : Calibration
-        The one in doubt.
+        The one to check.
     shape : {"plane", "ball"}
-        What was captured: the largest surface in view for a plane, the one nearest to a ball for a ball.
+        The captured shape: the largest surface in view for a plane, the one nearest to a ball for a ball.
     radius_mm : float, optional
         The ball's true radius.
 
@@ -241,9 +241,9 @@ def check_epipolar(
     captures : mapping from name to (H, W, 3)
         The captures of `multishot_sequence`, of anything that holds still.
     calibration : Calibration
-        The one in doubt.
+        The one to check.
     where : str
-        What errors call these captures.
+        Name for messages.
     white_level : float, optional
         Full scale; None: the type's.
 
@@ -283,7 +283,7 @@ def epipolar_error_px(geometry: Geometry, camera_px: FloatArray, projector_px: F
     Parameters
     ----------
     geometry : Geometry
-        Where camera and projector stand.
+        The poses of camera and projector.
     camera_px, projector_px : (N, 2)
         x, y of pixels that see each other.
     """
@@ -307,14 +307,14 @@ def correct_light(
 
     Crosstalk and response are estimated anew from the frame, where they, or what looks like them, were found at fault.
     The response is that of the pattern as it was projected, so measure the radiometry before making a new pattern. A
-    transfer is set. What needs more than a frame (lateral colour, motion, a black level) stays, as the advice says.
+    transfer is set. What needs more than a frame (lateral colour, motion, a black level) stays, as the advice states.
 
     Parameters
     ----------
     calibration : Calibration
         The one at fault.
     diagnosis : Diagnosis
-        What was found.
+        Findings.
     image : (H, W, 3)
         The image that the frame was decoded from, levels as they came.
     white_level : float
@@ -400,20 +400,20 @@ def check_picture(
     source : Footage
         The picture, opened.
     calibration : Calibration
-        The one in doubt.
+        The one to check.
     settings : DecodeSettings
-        How to decode, as `with_transfer_of` completes them for this picture.
+        Settings to decode with, as `with_transfer_of` completes them for this picture.
     arch : str
-        Where to compute.
+        Device to compute on.
     shape : {"plane", "ball"}, optional
-        What was captured, to be compared with a perfect one.
+        The captured shape, to be compared with a perfect one.
     radius_mm : float, optional
         The ball's true radius.
 
     Returns
     -------
     PictureCheck or None
-        None: no fringe was found, and a warning has said why.
+        None: no fringe was found, and a warning has explained why.
 
     Raises
     ------

@@ -4,8 +4,8 @@ Camera channel j of a tile of a few cycles is a mean, a fundamental and harmonic
 
     I_j = DC_j (1 + Re sum_k q_jk exp(i k phi)),    q_j1 = contrast * exp(i d_j) where nothing is wrong.
 
-Dividing by the mean takes reflectance, shading and gains away, so q says what is wrong, and its change from tile to
-tile says why: a lens shifts a channel by pixels, so its phase goes with the local fringe frequency; a black level
+Dividing by the mean takes reflectance, shading and gains away, so q shows what is wrong, and its change from tile to
+tile shows why: a lens shifts a channel by pixels, so its phase goes with the local fringe frequency; a black level
 weighs most where it is dark; motion moves the objects but not the wall; crosstalk is the same everywhere.
 """
 
@@ -37,7 +37,7 @@ from tikernels.raw.linearization import Transfer, linear_values
 
 #: Causes of bands.
 BANDS = ("colours in turn and a rolling shutter", "a surface striped along the rows")
-# Parts of a row that are compared: as many as leave each of them some 50 px of a small picture.
+# Parts of a row that are compared: as many as leave each of them about 50 px of a small picture.
 _PARTS = 10
 # Steps are the picture's where they are known in this many of them.
 _MIN_PARTS = 5
@@ -72,7 +72,7 @@ def find_bands(light: FloatArray, mask: npt.NDArray[np.bool_], period_px: float)
     light : (H, W, 3)
         Linear.
     mask : (H, W) bool
-        Where a phase was found.
+        True where a phase was found.
     period_px : float
         Camera px per cycle: means over a whole one do not show the fringe.
     """
@@ -149,13 +149,13 @@ def diagnose(
     unwrapped_phase : (H, W) float32
         rad, ripple and all; one order a surface.
     mask : (H, W) bool
-        Where it holds.
+        True where it holds.
     known : KnownLight, optional
-        What the decoder undoes; None: nothing.
+        Light that the decoder undoes; None: nothing.
     transfer : {"linear", "srgb", "bt709"} or (N,) floats
         By which the decoder reads the levels.
     absolute : (H, W) bool, optional
-        Where the orders are absolute, so that the code is known; None: nowhere.
+        True where the orders are absolute, so that the code is known; None: nowhere.
 
     Returns
     -------

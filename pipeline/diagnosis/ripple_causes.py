@@ -71,7 +71,7 @@ def own_harmonics(spectrum: npt.NDArray[np.complex128], weight: FloatArray, matr
 def left_by_mixing(
     spectrum: npt.NDArray[np.complex128], lights: npt.NDArray[np.complex128], period_px: float
 ) -> tuple[npt.NDArray[np.complex128], int]:
-    """Return what of the channels' harmonics no mixing, lag and blur make of the projector's light, (3, K - 1).
+    """Return what no mixing, lag and blur of the projector's light explain of the channels' harmonics, (3, K - 1).
 
     A crosstalk, or a lateral colour, that is not known mixes the known harmonics otherwise, or shifts them: that is no
     fault of their own. The leaks into each channel and its lag are fitted to all of its spectrum (3, K) by each of the
@@ -95,7 +95,7 @@ def left_by_mixing(
 
 
 def _left_of(tiles: Tiles, matrix: FloatArray, period_px: float) -> tuple[npt.NDArray[np.complex128], int]:
-    """Return what no mixing makes of the light that is expected of these tiles, over the primaries' contrast."""
+    """Return what no mixing explains of the light that is expected of these tiles, over the primaries' contrast."""
     unmix, spectrum = np.linalg.inv(matrix), mean_spectrum(tiles)
     lights = unmix @ np.moveaxis(robust_fit(tiles.expected, tiles.weight).value[0], -1, 0)
     rest, number = left_by_mixing(spectrum, lights, period_px)

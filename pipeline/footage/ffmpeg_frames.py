@@ -1,4 +1,4 @@
-"""What FFmpeg says: of its frames' pixels and colours, in `PixelFormat`'s words, and of damage while it decodes."""
+"""FFmpeg's reports: on its frames' pixels and colours, in `PixelFormat`'s words, and on damage while it decodes."""
 
 import logging
 import re
@@ -26,7 +26,7 @@ _UNKNOWN_MATRIX = 2
 _LIMITED_RANGE, _FULL_RANGE = 1, 2
 # Codecs whose chroma sits in the middle of its pixels (JFIF, MPEG-1); all others' sits left, as H.264's does.
 _CENTRED = ("mjpeg", "mjpegb", "mpeg1video", "webp")
-# Rows from which on players take BT.709 where a frame says nothing of its matrix; with fewer, BT.601.
+# Rows from which on players take BT.709 where a frame does not specify its matrix; with fewer, BT.601.
 _HD_ROWS = 720
 
 _SUBSAMPLING = {"420": (2, 2), "422": (2, 1), "440": (1, 2), "444": (1, 1), "411": (4, 1), "410": (4, 4)}
@@ -91,14 +91,14 @@ def caught_messages() -> Iterator[list[str]]:
 
 @dataclass(frozen=True)
 class _Names:
-    """What a pixel format's name says: how it is stored, and for each of our planes where it is in FFmpeg's."""
+    """Contents of a pixel format's name: how it is stored, and for each of our planes where it is in FFmpeg's."""
 
     format: PixelFormat
     places: tuple[tuple[int, int, int], ...]  # plane, first value, and from one value (or pixel of RGB) to the next
 
 
 def transfer_of(frame: Any) -> tuple[str | None, str | None]:
-    """Return how a frame says that its light is encoded, or what else it says that is not undone."""
+    """Return how a frame's light is encoded, or the encoding it states that is not undone."""
     number = int(frame.color_trc)
     return H273_TRANSFERS.get(number), H273_OTHERS.get(number)
 
@@ -111,7 +111,7 @@ def stored_planes(
     Raises
     ------
     FootageError
-        No kernel reads this pixel format or matrix, or it is grey and nobody says which mosaic it is.
+        No kernel reads this pixel format or matrix, or it is grey and its mosaic is not specified.
     """
     name = frame.format.name
     names = _names(name)

@@ -58,26 +58,26 @@ Frames = Generator[StoredFrame | BadFrame, None, None]
 
 
 class Footage(ABC):
-    """Frames in their order, as often as asked for; not to be shared between threads.
+    """Frames in their order, as often as needed; not to be shared between threads.
 
     `open_footage` opens it. It is a context manager: leaving it lets go of files.
 
     Attributes
     ----------
     name : str
-        What the user gave.
+        As the user gave it.
     size_px : (int, int)
         Width and height of every frame, whose arrays have the shape (height, width, 3).
     format : PixelFormat
-        How the first good frame is stored; others differ only if their frame says so.
+        Format of the first good frame; others differ only if their frame states it.
     transfer : str or None
-        How light is encoded ("linear", "srgb", "bt709"), where the file says so.
+        Encoding of light ("linear", "srgb", "bt709"), where the file states it.
     transfer_because : str
-        What tells the transfer, or that nothing does.
+        The evidence for the transfer, or that there is none.
     sensor : SensorPart or None
-        The part of the camera's sensor that frames are; None: the footage does not say.
+        The part of the camera's sensor that frames are; None: the footage does not specify it.
     notes : tuple of str
-        What was assumed because the container does not say it, a sentence each; for the user.
+        Assumptions, where the container does not specify it, one sentence each; for the user.
 
     Examples
     --------
@@ -128,11 +128,11 @@ class Footage(ABC):
 
     @property
     def times(self) -> FrameTimes | None:
-        """When the frames were taken; None where nothing tells, as with a folder of pictures.
+        """Times at which the frames were taken; None where they are unknown, as with a folder of pictures.
 
-        A recording's capture log has the time of day at which each frame was exposed. Without one a recording's rate
-        tells, and of other videos their time stamps do. The date in a video's head is not asked: programs that cut or
-        copy videos write their own.
+        A recording's capture log has the time of day at which each frame was exposed. Without one they follow from a
+        recording's rate, and of other videos from their time stamps. The date in a video's head is not used: programs
+        that cut or copy videos write their own.
         """
         return None
 
@@ -146,7 +146,7 @@ class Footage(ABC):
         start, stop, step : int
             As of a slice.
         stripes : {"horizontal", "vertical"}
-            Which way the fringe runs; a mosaic's missing colours are taken from along it.
+            Direction of the fringe; a mosaic's missing colours are taken from along it.
 
         Yields
         ------
@@ -167,7 +167,7 @@ class Footage(ABC):
 
 @dataclass(frozen=True)
 class StoredAs:
-    """What the user says of the pixels, see `PixelFormat`; None: what the footage says of itself.
+    """The user's description of the pixels, see `PixelFormat`; None: the footage's own.
 
     Examples
     --------
@@ -176,18 +176,18 @@ class StoredAs:
     """
 
     bayer: Bayer | None = None
-    """Which mosaic grey footage is."""
+    """Mosaic of grey footage."""
     bits: int | None = None
-    """How many bits of its values are used."""
+    """Number of bits of its values that are used."""
     siting: Siting | None = None
-    """Where chroma samples sit."""
+    """Place of chroma samples."""
     matrix: Matrix | None = None
-    """How luma was made."""
+    """Matrix by which luma was made."""
     full_range: bool | None = None
-    """Whether luma uses every level."""
+    """True if luma uses every level."""
 
     def applied_to(self, format: PixelFormat) -> PixelFormat:
-        """Return a format as the user says it is.
+        """Return a format as the user describes it.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""When the frames of footage were taken."""
+"""Times at which the frames of footage were taken."""
 
 import json
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from pipeline.limits import open_plain
 
-#: The log that a capture keeps beside its recording.
+#: The log that a capture keeps next to its recording.
 LOG = "log.jsonl"
 # Bytes; ours are a third of a kB.
 _LONGEST_LINE = 2**16
@@ -22,14 +22,14 @@ Times = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class FrameTimes:
-    """When each frame was taken."""
+    """Times at which frames were taken."""
 
     seconds: Times  # (frames,), ascending
     since: str | None  # what they count from, UTC, as "2026-11-25T10:00:00Z"; None: the first frame
 
     @classmethod
     def logged(cls, log: Path, n_frames: int) -> "FrameTimes | None":
-        """Return when frames were exposed, by a capture's log; None: it does not tell of them all."""
+        """Return when frames were exposed, by a capture's log; None: it does not have them all."""
         seconds = _logged_times(log, n_frames)
         if seconds is None:
             return None
@@ -38,12 +38,12 @@ class FrameTimes:
 
     @property
     def known(self) -> bool:
-        """Whether there are any, and each is later than the one before."""
+        """True if there are any, and each is later than the one before."""
         return len(self.seconds) > 0 and self.ascend and self.seconds[-1] < _LATEST
 
     @property
     def ascend(self) -> bool:
-        """Whether all are numbers, and each is later than the one before."""
+        """True if all are numbers, and each is later than the one before."""
         return bool(np.isfinite(self.seconds).all() and (np.diff(self.seconds) > 0).all())
 
     def of(self, number: int) -> float:
@@ -57,7 +57,7 @@ class FrameTimes:
 
 
 def _logged_times(log: Path, n_frames: int) -> Times | None:
-    """Return when each frame was exposed, s since 1970; None where the log does not tell of them all."""
+    """Return when each frame was exposed, s since 1970; None where the log does not have them all."""
     times = np.full(n_frames, np.nan)
     try:
         with open_plain(log) as lines:

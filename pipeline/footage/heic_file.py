@@ -36,7 +36,7 @@ def is_heic(data: bytes) -> bool:
 
 
 def read_heic(data: bytes) -> tuple[tuple[ImageArray, ...], PixelFormat, PictureTags]:
-    """Return a picture's planes, how they are stored, and what the file says of them.
+    """Return a picture's planes, how they are stored, and what the file states of them.
 
     It is turned as the camera was held, by the file's own turns; what Exif repeats of these does not count. Of several
     pictures it is the one that the file calls its first.
@@ -83,7 +83,7 @@ def _planes(levels: npt.NDArray[Any], half: int, matrix: Matrix) -> tuple[tuple[
     white, pixels = np.iinfo(levels.dtype).max, _PAIRED[half]
     chroma = luma_and_chroma(levels, white, matrix)[1:]
     if any(_unlike_pairs(part, axis) > _MOST_CUT for part in chroma for axis in range(2) if pixels[1 - axis] == 2):
-        raise FootageError("its colours have half the resolution, and cannot be told apart again: save it as PNG")
+        raise FootageError("its colours have half the resolution, and cannot be separated again: save it as PNG")
     # HEVC's 4:2:2 sits left; encoders of pictures average 4:2:0 in the middle.
     return repeated_samples(levels, white, RepeatedChroma(pixels, (0, 0), matrix, "centre" if half == 420 else "left"))
 

@@ -1,7 +1,7 @@
-"""Read a colour image, or say in one line why it is none.
+"""Read a colour image, or explain in one line why it is none.
 
-JPEG is decoded by FFmpeg, which says what is wrong with a picture where other decoders fill it up with grey, and so are
-the planes of WebP; HEIC by libheif; all else by OpenCV.
+JPEG is decoded by FFmpeg, which reports what is wrong with a picture where other decoders fill it up with grey, and so
+are the planes of WebP; HEIC by libheif; all else by OpenCV.
 """
 
 import errno
@@ -131,7 +131,7 @@ def decode_levels(path: Path, data: bytes) -> npt.NDArray[Any]:
                 PlaneDecoder("mjpeg").decode(data)
         elif data[:4] in TIFF_MARKS:
             data = _checked_page(path, data)
-        with suppress(cv2.error):  # the message below says it in one line
+        with suppress(cv2.error):  # the message below reports it in one line
             image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None or size_px is None:
         raise FootageError(f"{path} is not a picture that can be read: give a PNG, TIFF or JPEG file")

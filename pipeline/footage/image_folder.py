@@ -41,7 +41,7 @@ _PART_SCALES = tuple(2**bits - 1 for bits in range(9, 16))
 
 def natural_key(name: str) -> tuple[list[int | str], str]:
     """Return what sorts names as people do: frame2 before frame10."""
-    # Digits stand at every odd place, so numbers never meet letters; the name itself settles 1 and 01.
+    # Digits are at every odd place, so numbers never meet letters; the name itself settles 1 and 01.
     parts: list[int | str] = [int(part) if i % 2 else part.casefold() for i, part in enumerate(_DIGITS.split(name))]
     return (parts, name)
 
@@ -52,13 +52,13 @@ class ImageFolder(Footage):
     Parameters
     ----------
     name : str
-        What the user gave.
+        As the user gave it.
     folder : Path
-        Where they are.
+        Their folder.
     names : sequence of str
-        Which files, in order.
+        Names of the files, in order.
     says : StoredAs
-        What the user says of the pixels.
+        The user's description of the pixels.
     stack : _Stack, optional
         The pages of a single file, in place of files.
 
@@ -102,7 +102,7 @@ class ImageFolder(Footage):
         FootageError
             There is none, or none can be read.
         """
-        # Names alone: asking the file system about each of 100,000 files takes longer than reading the list.
+        # Names alone: querying the file system about each of 100,000 files takes longer than reading the list.
         names = listed or sorted(
             (name for name in os.listdir(folder) if name.lower().endswith(IMAGE_SUFFIXES) and name[0] != "."),
             key=natural_key,
@@ -146,7 +146,7 @@ class ImageFolder(Footage):
         return [self._folder / name for name in (self.names if self._stack is None else self.names[:1])]
 
     def _read(self, number: int) -> tuple[tuple[ImageArray, ...], PixelFormat, PictureTags]:
-        """Return a picture's planes as it is to be seen, how they are stored, and what its file says."""
+        """Return a picture's planes as it is to be seen, how they are stored, and what its file states."""
         path = self._folder / self.names[number]
         try:
             data = read_picture(path) if self._stack is None else self._stack.page(number)
@@ -232,7 +232,7 @@ def is_footage(path: Path) -> bool:
     """Return whether a path is that of several pictures, or of no picture."""
     if path.suffix.lower() not in IMAGE_SUFFIXES or path.is_dir():
         return True
-    with suppress(OSError):  # it is read again, and then says it
+    with suppress(OSError):  # it is read again, and then reports it
         return path.is_file() and _stack_of(path) is not None
     return False
 

@@ -1,4 +1,4 @@
-"""Where frames come from: image folders, video files and recordings."""
+"""Sources of frames: image folders, video files and recordings."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,7 +14,7 @@ from pipeline.limits import open_plain
 from tikernels.errors import ShapeError
 from tikernels.raw.pixel_format import Bayer, Matrix, Siting
 
-# Pictures that phones and browsers store as the brand of an ISO base media file says (ISO/IEC 23008-12, 10.2).
+# Pictures that phones and browsers store as the brand of an ISO base media file states (ISO/IEC 23008-12, 10.2).
 _UNREAD = {b"avif": "AVIF", b"avis": "AVIF"}
 # How names of cameras' raw files end.
 _RAW_SUFFIXES = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw")
@@ -35,12 +35,12 @@ def open_footage(
     Parameters
     ----------
     path : str or Path
-        Which.
+        The folder or file.
     bayer, bits, siting, matrix, full_range
-        How the pixels are stored, see `PixelFormat`; each wins over what the footage says of itself. Grey footage
+        How the pixels are stored, see `PixelFormat`; each wins over what the footage states of itself. Grey footage
         needs `bayer`.
     listed : sequence of str, optional
-        Names of a folder's pictures, in order: others that have come since are not looked at.
+        Names of a folder's pictures, in order: others that have come since are ignored.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What a picture's file says besides its pixels: its size, how the camera was held, and how light is encoded.
+"""Tags of a picture's file: its size, how the camera was held, and how light is encoded.
 
 Decoders take memory for all of a picture before anything else of it is known, so its head is read here.
 
@@ -40,7 +40,7 @@ _JPEG_FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
 _HIERARCHICAL, _ARITHMETIC = range(0xC5, 0xC8), range(0xC9, 0xD0)
 # Pixels of a chroma sample of JPEG, across and down, that FFmpeg knows.
 _SUBSAMPLING = ((1, 1), (2, 1), (1, 2), (2, 2), (4, 1))
-# Markers of JPEG: one that stands for itself, begin and end of a picture, and applications' data.
+# Markers of JPEG: one that stands alone, begin and end of a picture, and applications' data.
 _ALONE, _BEGIN, _END, _APP1, _APP2 = 0x01, 0xD8, 0xD9, 0xE1, 0xE2
 # In coded data FF is followed by 0, or by the number of a restart.
 _MARKER = re.compile(rb"\xff+[\x01-\xcf\xd8-\xfe]")
@@ -53,10 +53,10 @@ _SRGB = 1  # of the colour space
 # Layouts of BMP: as they are, and by masks, of which one order is read.
 _PLAIN, _MASKS, _BMP_ORDER = 0, (3, 6), (0xFF0000, 0xFF00, 0xFF)
 _GREY_ALPHA = "it is grey with transparency, but the phase is in the colours: save a Bayer mosaic without transparency"
-#: What is said of a picture that is.
+#: Note on a picture that is.
 TRANSPARENT = "it is transparent in parts, which is not used: its colours are taken as they are stored"
 _ANIMATION = "it is an animation: save its frames as PNG files in a folder"
-# Profiles of displays and cameras have up to some 100 kB.
+# Profiles of displays and cameras have up to about 100 kB.
 _MOST_PROFILE = 2**22
 # A gamma of 2.2 is within 0.009 of sRGB's curve, in linear light; what is further off is another curve.
 _ALIKE = 0.015
@@ -70,20 +70,20 @@ _ODD = (struct.error, zlib.error, ValueError, IndexError, KeyError, ZeroDivision
 
 @dataclass(frozen=True)
 class PictureTags:
-    """How a picture is to be turned, and how its light is encoded."""
+    """Orientation of a picture, and the encoding of its light."""
 
     orientation: int = 1
     """Of Exif, or else of XMP, 1 to 8: see `upright`."""
     transfer: str | None = None
-    """"linear", "srgb" or "bt709"; None: nothing tells."""
+    """"linear", "srgb" or "bt709"; None: unknown."""
     because: str = "nothing in the file says otherwise"
-    """What tells the transfer."""
+    """The evidence for the transfer."""
     notes: tuple[str, ...] = ()
-    """What of the file is not used, a sentence each; for the user."""
+    """Unused parts of the file, one sentence each; for the user."""
 
 
 def picture_size(data: bytes) -> tuple[int, int] | None:
-    """Return the width and height that the head of a PNG, JPEG, TIFF, BMP, WebP or PNM file says; None: it is none."""
+    """Return the width and height in the head of a PNG, JPEG, TIFF, BMP, WebP or PNM file; None: it is none."""
     try:
         if data.startswith(PNG):
             return _pair(data, ">II", 16) if data[12:16] == b"IHDR" else None
@@ -138,13 +138,13 @@ def plane_codec(data: bytes) -> str | None:
 
 
 def stored_bits(data: bytes) -> int | None:
-    """Return how many bits a picture's levels have, where the head of a PNM file says so; None: all of their type."""
+    """Return how many bits a picture's levels have, where the head of a PNM file states it; None: all of their type."""
     numbers = _PNM.match(data[:4096])
     return None if numbers is None or numbers[4] is None else int(numbers[4]).bit_length()
 
 
 def read_tags(data: bytes) -> PictureTags:
-    """Return what a PNG, JPEG, TIFF or WebP file says of itself; what is damaged or unknown says nothing."""
+    """Return the tags of a PNG, JPEG, TIFF or WebP file; what is damaged or unknown is ignored."""
     tags = PictureTags()
     if data.startswith(JPEG):
         tags = PictureTags(1, "srgb", "a JPEG that says nothing else is sRGB")
@@ -173,7 +173,7 @@ def read_tags(data: bytes) -> PictureTags:
 
 
 def with_colors(tags: PictureTags, profile: bytes | None, transfer_code: int | None) -> PictureTags:
-    """Return tags with what an ICC profile, or else a number of ITU-T H.273, says of the transfer."""
+    """Return tags with the transfer of an ICC profile, or else of a number of ITU-T H.273."""
     with suppress(*_ODD), np.errstate(all="ignore"):
         if profile:
             return _with_profile(tags, profile)
@@ -188,12 +188,12 @@ def is_transparent(levels: npt.NDArray[np.generic]) -> bool:
 
 
 def several(count: int) -> str:
-    """Return what is said of a file of several pictures."""
+    """Return the note on a file of several pictures."""
     return f"it holds {count} pictures, of which the first is read"
 
 
 def upright(image: npt.NDArray[np.generic], orientation: int) -> npt.NDArray[np.generic]:
-    """Return a view of an array, rows and columns first, as Exif's orientation says that it is to be seen."""
+    """Return a view of an array, rows and columns first, turned by Exif's orientation."""
     if orientation in (5, 6, 7, 8):
         image = image.swapaxes(0, 1)
     down = -1 if orientation in (3, 4, 7, 8) else 1
@@ -269,7 +269,7 @@ def _unfit_bmp(data: bytes) -> str | None:
 
 
 def _after(tags: PictureTags, kind: str, content: bytes) -> PictureTags:
-    """Return the tags with what one part of the file says."""
+    """Return the tags with what one part of the file states."""
     if kind in ("exif", "tiff"):
         page = read_directory(content)
         orientation = page.first(Tag.ORIENTATION, 0)
@@ -384,7 +384,7 @@ def png_chunks(data: bytes) -> Iterator[tuple[bytes, int, int]]:
 
 
 def _png_parts(data: bytes) -> Iterator[tuple[str, bytes]]:
-    """Yield what a PNG's chunks say, in the order in which later ones overrule earlier ones."""
+    """Yield what a PNG's chunks state, in the order in which later ones overrule earlier ones."""
     found: dict[bytes, bytes] = {}
     for kind, begin, end in png_chunks(data):
         found.setdefault(kind, data[begin : end - 4])

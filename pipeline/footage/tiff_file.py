@@ -24,7 +24,7 @@ TIFF_MARKS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 
 
 class Tag(IntEnum):
-    """What is read of a directory."""
+    """Tags that are read of a directory."""
 
     KIND, OLD_KIND, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, DESCRIPTION = 254, 255, 256, 257, 258, 259, 262, 270
     STRIP_PLACES, ORIENTATION, SAMPLES, STRIP_SIZES, MOST, PLANAR, TRANSFER = 273, 274, 277, 279, 281, 284, 301
@@ -63,7 +63,7 @@ _COLORS = {
 
 @dataclass(frozen=True)
 class Directory:
-    """What a page, or Exif, says of itself."""
+    """Tags of a page, or of Exif."""
 
     values: Mapping[int, npt.NDArray[Any]]  # by tag
     places: Mapping[int, int]  # where each of these begins in the file
@@ -76,7 +76,7 @@ class Directory:
 
 
 def read_directory(data: bytes, begin: int | None = None) -> Directory:
-    """Return one directory of a TIFF file, the first one if it is not said which.
+    """Return one directory of a TIFF file, by default the first one.
 
     Raises
     ------
@@ -152,7 +152,7 @@ def as_stored(data: bytes) -> bytes:
 
 
 def transfer_curve(page: Directory) -> npt.NDArray[np.float64] | None:
-    """Return the linear light, 0..1, of a page's levels, in ascending order, if it says so."""
+    """Return the linear light, 0..1, of a page's levels, in ascending order, if it states them."""
     table = page.values.get(Tag.TRANSFER)
     bits = page.first(Tag.BITS, 1)
     return None if table is None or len(table) < 2 ** min(bits, 16) else np.asarray(table[: 2**bits] / 65535)
@@ -188,7 +188,7 @@ def _said(colors: int) -> str:
 
 
 def pages_elsewhere(page: Directory, n_pages: int) -> int:
-    """Return how many pages ImageJ says there are beyond those with a directory, as in its files of more than 4 GB."""
+    """Return how many pages ImageJ lists beyond those with a directory, as in its files of more than 4 GB."""
     words = page.values.get(Tag.DESCRIPTION, np.zeros(0, np.uint8)).tobytes().split()
     said = [word[7:] for word in words if word.startswith(b"images=") and word[7:].isdigit()]
     is_imagej = bool(words) and words[0].startswith(b"ImageJ=")
@@ -201,13 +201,13 @@ def is_cut_off(data: bytes, page: Directory) -> bool:
 
 
 def is_damaged(data: bytes, page: Directory) -> bool:
-    """Return whether a page's values are not as they were written, where that can be told: deflate has checksums."""
+    """Return whether a page's values are not as they were written, where that can be checked: deflate has checksums."""
     is_deflated = page.first(Tag.COMPRESSION, 1) in _DEFLATE
     return is_deflated and not all(_is_deflated(data[begin:end]) for begin, end in _strips(page) if begin)
 
 
 def _strips(page: Directory) -> list[tuple[int, int]]:
-    """Return where each strip or tile begins and ends, as far as the page says so."""
+    """Return where each strip or tile begins and ends, as far as the page states it."""
     places, sizes = (Tag.STRIP_PLACES, Tag.TILE_PLACES), (Tag.STRIP_SIZES, Tag.TILE_SIZES)
     begins, lengths = ([int(value) for tag in tags for value in page.values.get(tag, ())] for tags in (places, sizes))
     return [(begin, begin + size) for begin, size in zip(begins, lengths, strict=False)]
@@ -227,7 +227,7 @@ def _is_deflated(strip: bytes) -> bool:
 
 
 def _first_page_layout(data: bytes | bytearray) -> tuple[int, str, str]:
-    """Return where a file says where its first directory begins, and in which order and type."""
+    """Return where a file states where its first directory begins, and in which order and type."""
     order = "<" if data[:2] == b"II" else ">"
     return (8, order, "Q") if data[2:4] in (b"+\0", b"\0+") else (4, order, "I")
 

@@ -25,8 +25,8 @@ _MOST_DAMAGED = 300
 _MISSING = "it is missing from the file, or cannot be decoded"
 # An AVI file's index names the head of a coded frame, its reader what comes behind.
 _AVI_HEAD_BYTES = 8
-#: Tags by which an exported recording says what its pixels and time stamps do not: how many frames there are a second,
-#: how many bits are used, which mosaic its grey pixels are, and which part of the camera's sensor.
+#: Tags by which an exported recording states what its pixels and time stamps do not: how many frames per second, how
+#: many bits are used, which mosaic its grey pixels are, and which part of the camera's sensor.
 RATE_TAG, BITS_TAG, BAYER_TAG, SENSOR_TAG = (f"COLORPHASE_{name}" for name in ("RATE", "BITS", "BAYER", "SENSOR"))
 # How Exif's orientations turn a picture.
 _TURNS = {
@@ -52,7 +52,7 @@ class VideoFile(Footage):
     path : Path
         The file.
     says : StoredAs
-        What the user says of the pixels.
+        The user's description of the pixels.
 
     Raises
     ------
@@ -102,13 +102,13 @@ class VideoFile(Footage):
 
     @property
     def stamps(self) -> list[int]:
-        """When each frame is to be shown, in the order of their numbers; empty where nothing tells."""
+        """Times at which frames are to be shown, in the order of their numbers; empty where unknown."""
         shown = zip(self._index.numbers, self._index.stamps, strict=False)
         return [stamp for number, stamp in sorted(shown) if number >= 0]
 
     @property
     def times(self) -> FrameTimes | None:
-        """When each frame was taken, by a recording's capture log, or is to be shown; see `Footage`."""
+        """Times at which frames were taken, by a recording's capture log, or are to be shown; see `Footage`."""
         if self._rate_hz is not None:
             logged = FrameTimes.logged(Path(self.name).parent / LOG, len(self))
             if logged is not None:
@@ -137,8 +137,8 @@ class VideoFile(Footage):
                         due += 1
                     if due == len(wanted):
                         return
-            # Where every frame stands alone, decoding ends at a damaged one and begins anew behind it: what a decoder
-            # makes of a damaged frame can stay in its state and spoil all later ones.
+            # Where every frame stands alone, decoding ends at a damaged one and begins anew after it: a damaged frame
+            # can change the decoder's state and spoil all later ones.
             last = max(reasons) if self._index.intra_only and len(reasons) > n_damaged else len(self)
             while due < len(wanted) and wanted[due] <= last:
                 yield BadFrame(wanted[due], reasons.get(wanted[due], _MISSING))
@@ -170,7 +170,7 @@ class VideoFile(Footage):
                 raise FootageError(f"{self.name} holds no video: give the file with the pictures")
             if stream.codec_context is None:
                 raise FootageError(f"{self.name} has a codec that is not known: convert it with ffmpeg -c:v ffv1")
-            if stream.codec_context.width:  # the first frame may be the one that tells
+            if stream.codec_context.width:  # the first frame may be the one that has it
                 check_size(self.name, stream.codec_context.width, stream.codec_context.height)
             # Cropped to the pixel; else what is cut off on the left is rounded to what a processor likes.
             stream.codec_context.flags |= av.codec.context.Flags.unaligned
@@ -187,7 +187,7 @@ class VideoFile(Footage):
         if context.name == "ffv1":
             context.thread_type = "SLICE"
         else:
-            context.thread_count = 1  # messages from other threads could not be told whose they are
+            context.thread_count = 1  # messages from other threads could not be assigned to a file
         begin = index.position_before(wanted[0])
         packets = self._packets(container, stream, begin)
         damaged: list[int] = []  # positions
@@ -221,7 +221,7 @@ class VideoFile(Footage):
                 n_came += failure is not None
             for frame in frames:
                 if frame.pts is None:
-                    continue  # nothing tells which one it is
+                    continue  # its number is unknown
                 position_out = int(frame.pts)
                 number = index.numbers[position_out] if index.stamps else n_came
                 n_came += 1
@@ -285,7 +285,7 @@ class VideoFile(Footage):
         return StoredFrame(number, planes, format) if other is None else BadFrame(number, other)
 
     def _learn(self, frame: Any, notes: tuple[str, ...]) -> None:
-        """Note what the first good frame says of all."""
+        """Note what the first good frame shows of all."""
         self.notes += notes
         transfer, not_undone = transfer_of(frame)
         if self.transfer is None and transfer is not None:
@@ -324,7 +324,7 @@ def films(container: Any) -> Iterator[Any]:
 
 
 def _tagged(metadata: Mapping[str, str], says: StoredAs) -> tuple[RecordingTags | None, StoredAs]:
-    """Return the tags of an exported recording, None of another video; and what the user says, or else they.
+    """Return the tags of an exported recording, None of another video; and the pixels by the user, or else by them.
 
     Raises
     ------
@@ -350,15 +350,15 @@ def _tagged(metadata: Mapping[str, str], says: StoredAs) -> tuple[RecordingTags 
 class VideoIndex:
     """Every coded frame of a file: its position is its place in the file, its number that in time."""
 
-    stamps: Sequence[int]  # by position, in the stream's time base; empty where stamps do not tell frames apart
-    marks: Sequence[int]  # by position: what tells which packet is which
+    stamps: Sequence[int]  # by position, in the stream's time base; empty where stamps do not distinguish frames
+    marks: Sequence[int]  # by position: what identifies the packet
     mark: Literal["pts", "pos"]  # what that is: a packet's time stamp, or where it begins in the file
     numbers: Sequence[int]  # by position; -1: decoded, because others need it, but not shown
     keys: Sequence[int]  # positions at which decoding can begin, ascending
 
     @property
     def intra_only(self) -> bool:
-        """Whether every frame can be decoded by itself: without stamps only those before it tell which one it is."""
+        """True if every frame can be decoded by itself: without stamps its number follows only from those before it."""
         return bool(self.stamps) and len(self.keys) == len(self.numbers)
 
     def position_before(self, number: int) -> int:
@@ -380,12 +380,12 @@ class VideoIndex:
 
 
 def _index_frames(container: Any, stream: Any) -> VideoIndex:
-    """List the coded frames of an open file, without looking at them where the container tells where they are.
+    """List the coded frames of an open file, without reading them where the container lists them.
 
     Raises
     ------
     FootageError
-        The file says that it holds more frames than there is room for in it.
+        The file claims to hold more frames than it has room for.
     """
     n_frames = max(stream.frames, len(stream.index_entries))
     if n_frames > container.size:
@@ -394,7 +394,7 @@ def _index_frames(container: Any, stream: Any) -> VideoIndex:
     stamps = [entry.timestamp for entry in entries]
     everything = len(entries) == stream.frames > 0 and len(set(stamps)) == len(stamps)
     if everything and all(entry.is_keyframe and not entry.is_discard for entry in entries):
-        # AVI counts its packets for time stamps: where one is lost only the place in the file still tells.
+        # AVI counts its packets for time stamps: where one is lost only the place in the file still identifies a frame.
         return VideoIndex(stamps, [entry.pos for entry in entries], "pos", range(len(stamps)), range(len(stamps)))
     return _index_by_reading(container, stream)
 

@@ -23,13 +23,13 @@ from tikernels.raw.pixel_format import PixelFormat
 VERSION = "1"
 # Videos count in ms: above this, two frames of an exported recording could share one.
 MOST_FRAMES_A_SECOND = 500
-#: Attribute of the group that says how its frames are stored, and the name of their array.
+#: Attribute of the group that states how its frames are stored, and the name of their array.
 ATTRIBUTE = "colorphase_recording"
 FRAMES = "frames"
 
 
 def rate_of(text: str) -> Fraction:
-    """Return frames a second, from how a recording writes them.
+    """Return frames per second, from how a recording writes them.
 
     Raises
     ------
@@ -44,7 +44,7 @@ def rate_of(text: str) -> Fraction:
 
 @dataclass(frozen=True)
 class RecordingTags:
-    """What a recording says of itself, but for its frames' size.
+    """Tags of a recording; its frames' size is not one.
 
     Raises
     ------
@@ -52,7 +52,7 @@ class RecordingTags:
         The rate or the transfer is none that a recording can have.
     """
 
-    rate_hz: Fraction  # frames a second
+    rate_hz: Fraction  # frames per second
     transfer: str | None
     bayer: str | None  # None: RGB
     bits: int
@@ -73,7 +73,7 @@ class ZarrRecording(Footage):
     path : Path
         The group.
     says : StoredAs
-        What the user says of the pixels.
+        The user's description of the pixels.
 
     Raises
     ------
@@ -93,7 +93,7 @@ class ZarrRecording(Footage):
             group: Any = zarr.open_group(path, mode="r", zarr_format=3)
             about = group.attrs[ATTRIBUTE]
             version, array = about["version"], group.get(FRAMES)
-        except Exception:  # zarr checks little of what a damaged file says, and fails in many ways
+        except Exception:  # zarr checks little of a damaged file, and fails in many ways
             raise FootageError(
                 f"{path} is not a recording of frames: give a video, a folder of pictures or a recording"
             ) from None
@@ -130,7 +130,7 @@ class ZarrRecording(Footage):
 
     @property
     def times(self) -> FrameTimes:
-        """When each frame was taken, by the capture's log or the recording's rate; see `Footage`."""
+        """Times at which frames were taken, by the capture's log or the recording's rate; see `Footage`."""
         logged = FrameTimes.logged(self._path.parent / LOG, len(self))
         if logged is not None:
             return logged

@@ -71,7 +71,7 @@ def expected_bias_mm(
     corner_sigma_px : (camera, projector)
         Standard deviations of a corner's coordinate, px.
     depth_mm : float
-        Where the object is.
+        Depth of the object.
     """
     corners = board.corners_mm()
     corners = corners - corners.mean(axis=0)
@@ -113,7 +113,7 @@ def planned_bias_mm(choice: RigChoice, fields: SeenFields, board: Board, poses: 
     board : Board
         The board, tilted by 15 to 35 degrees every way about the object's place.
     poses : int
-        How many.
+        Number of poses.
     """
     turns, places = board_turns(poses)
     around = _GOLDEN * np.arange(poses)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from pipeline.settings import DecodeSettings
 
-#: The speed that costs are given for where nobody says another one, mm/s.
+#: The speed that costs are given for by default, mm/s.
 USUAL_SPEED_MM_S = 100.0
 
 

@@ -1,8 +1,8 @@
 """The parts of a rig, in the figures of data sheets, and where its camera and projector look.
 
 With a baseline B across the stripes and both axes meeting at the distance D, the projector sees a point of the camera's
-axis at the depth z under the angle atan(B / z) to that axis, and its own axis stands at atan(B / D). Its picture's row
-(or column) u px from the middle is therefore at
+axis at the depth z under the angle atan(B / z) to that axis, and its own axis is at atan(B / D). Its picture's row (or
+column) u px from the middle is therefore at
 
     z(u) = B / tan(atan(B / D) + atan(u / f)),     dz / dphi = p (B^2 + D^2) / (2 pi f B)  where u = 0,
 
@@ -33,15 +33,15 @@ _Share = Annotated[float, Field(ge=0.01, le=1)]
 _Noise = Annotated[float, Field(ge=0, le=255)]
 _Speed = Annotated[float, Field(ge=0, le=1e6)]
 _Time = Annotated[float, Field(ge=1e-6, le=3600)]
-# Points along either side of the camera's picture that are looked for in the projector's: to a hundredth of its area.
+# Points along either side of the camera's picture that are searched for in the projector's: to a hundredth of its area.
 _GRID = 101
 
 
 class RigChoice(Model):
     """A camera and a projector that are both turned to one point; by default about the demo's rig.
 
-    The baseline stands across the stripes: with horizontal ones the projector is above or below the camera, with
-    vertical ones to its left or right.
+    The baseline runs across the stripes: with horizontal ones the projector is above or below the camera, with vertical
+    ones to its left or right.
     """
 
     model_config = ConfigDict(use_attribute_docstrings=True)
@@ -132,7 +132,7 @@ class RigChoice(Model):
         code : {"contrast", "contrast2"}, optional
             The pattern's.
         """
-        # The projector stands across the stripes, and its axis meets the camera's at the object.
+        # The projector is across the stripes, and its axis meets the camera's at the object.
         toe = np.arctan2(self.baseline_mm, self.distance_mm)
         c, s = np.cos(toe), np.sin(toe)
         if self.stripes == "horizontal":

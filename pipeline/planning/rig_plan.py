@@ -8,7 +8,7 @@ neither the phase phi nor the pixel's brightness is known, the bound of Cramer a
     var = sigma^2 / sum_i (dC_i / dphi)_across^2,
 
 the derivative across the light C itself (`docs/accuracy.md`; S. M. Kay, Fundamentals of Statistical Signal Processing,
-volume 1, 1993, section 3.7). The decoder's own noise model then says what smoothing leaves of it
+volume 1, 1993, section 3.7). The decoder's own noise model then gives what smoothing leaves of it
 (`tikernels/phase/smoothing.py`) and that its model of the light, fitted to samples, adds a share of its own
 (`tikernels/phase/uncertainty.py`). Smoothing weighs rows by their certainty, but not without bounds, so that it leaves
 more than the harmonic mean of a cycle's variances and less than their mean: the geometric mean is between the two.
@@ -122,7 +122,7 @@ def choose_board(field_mm: tuple[float, float], mm_per_px: float) -> BoardChoice
     Parameters
     ----------
     field_mm : (width, height)
-        What camera and projector both see at the object's distance.
+        The field that camera and projector both see at the object's distance.
     mm_per_px : float
         Of the camera, there.
     """
@@ -178,17 +178,17 @@ def expected_phase_sigma(
     surface : {"skin", "white"}
         Its colour.
     brightness : float
-        What the brightest channel reaches where the fringe is brightest, 0..1 of full scale.
+        Level that the brightest channel reaches where the fringe is brightest, 0..1 of full scale.
     contrast : float
-        What ambient light and blur leave of the fringe's contrast, 0..1.
+        Contrast of the fringe that ambient light and blur leave, 0..1.
     noise_levels : float
         Standard deviation of the camera's noise, in 1/255 of full scale.
     bits : int
         The camera's; rounding to whole levels has the variance of an even distribution over one.
     sensor : {"bayer", "rgb"}
-        Whether a pixel has one colour or all three.
+        One colour per pixel, or all three.
     cycles_in_view : float
-        How many cycles of the fringe the camera sees.
+        Number of cycles of the fringe that the camera sees.
     code : {"contrast", "contrast2"}
         The pattern's.
 
@@ -266,7 +266,7 @@ class RigPlan:
 
     @property
     def contrast_left(self) -> tuple[float, float, float]:
-        """What light that scatters under the surface leaves of the contrast of red, green and blue, 0..1."""
+        """Contrast of red, green and blue that light scattered under the surface leaves, 0..1."""
         red, green, blue = (exp(-2 * (pi * mm / self.fringe.pitch_mm) ** 2) for mm in _SCATTER_MM[self.choice.surface])
         return red, green, blue
 

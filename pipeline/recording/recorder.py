@@ -25,7 +25,7 @@ from pipeline.text import sizes_differ
 from tikernels.errors import ShapeError
 from tikernels.raw.pixel_format import PixelFormat
 
-# Frames in hand at most, waiting and being written: 0.3 s at 200 frames a second, for which a busy disk may stall.
+# Frames in hand at most, waiting and being written: 0.3 s at 200 frames per second, for which a busy disk may stall.
 _MOST_IN_HAND = 64
 # Bytes that frames in hand may take: fewer frames are kept of large ones.
 _IN_HAND_BYTES = 128_000_000
@@ -33,7 +33,7 @@ _IN_HAND_BYTES = 128_000_000
 _PATIENCE_S = 30.0
 # Time that the frame which is just being written may take when a recording is to end.
 _END_S = 10.0
-# Between two looks at what the caller's thread waits for: a tenth of a frame's time at 100 frames a second.
+# Between two looks at what the caller's thread waits for: a tenth of a frame's time at 100 frames per second.
 _POLL_S = 0.001
 
 
@@ -41,8 +41,8 @@ class Recorder:
     """Write frames without loss, under their final name only when that holds nothing half-written.
 
     Threads compress and write, a few frames behind the caller, whose thread only copies them; what goes wrong there is
-    raised by the next call. `commit` says that all frames up to now belong together: after an error, Ctrl-C or a full
-    disk the recording ends with the last of them, and stands under its name; frames that were never committed leave
+    raised by the next call. `commit` marks that all frames up to now belong together: after an error, Ctrl-C or a full
+    disk the recording ends with the last of them, and is found under its name; frames that were never committed leave
     nothing. To be used by one thread.
 
     Parameters
@@ -50,9 +50,9 @@ class Recorder:
     path : str or Path
         ``NAME.zarr``; it must not exist.
     format : PixelFormat
-        How frames come: RGB in one (H, W, 3) plane, or a Bayer mosaic.
+        Format of frames: RGB in one (H, W, 3) plane, or a Bayer mosaic.
     transfer : {"linear", "srgb", "bt709"}, optional
-        How light is encoded, if that is known.
+        Encoding of light, if that is known.
     rate_hz : int or Fraction
         Frames a second, up to 500: for players; frames are known by their numbers.
     sensor : SensorPart, optional
@@ -118,18 +118,18 @@ class Recorder:
 
     @property
     def n_frames(self) -> int:
-        """How many frames it holds: those added, and once it has ended those that were kept."""
+        """Number of frames it holds: those added, and once it has ended those that were kept."""
         if self._threads is None:
             return 0
         return self._threads.n_committed if self._ended else self._threads.n_added
 
     @property
     def n_bytes(self) -> int:
-        """How many bytes have been written."""
+        """Number of bytes written."""
         return 0 if self._threads is None else self._threads.n_bytes
 
     def add(self, frame: ImageArray) -> None:
-        """Hand over a frame, which is copied; waits where the disk falls behind.
+        """Pass a frame, which is copied; waits where the disk falls behind.
 
         Parameters
         ----------
@@ -139,7 +139,7 @@ class Recorder:
         Raises
         ------
         ShapeError
-            It has another shape or type than the format says, or than the first frame.
+            It has another shape or type than the format specifies, or than the first frame.
         OutputError
             The disk is full or has gone, the folder cannot be written, or somebody else records under this name: the
             recording has ended.
@@ -183,7 +183,7 @@ class Recorder:
                 raise self._ended_by(error) from error
 
     def close(self) -> None:
-        """Keep all frames, and finish: now the recording stands under its name. Without frames there is none.
+        """Keep all frames, and finish: now the recording is found under its name. Without frames there is none.
 
         Raises
         ------
@@ -250,7 +250,7 @@ class WritingThreads:
     open : callable
         Makes the writer, in the first of the threads.
     n_threads : int
-        How many of them write.
+        Number of them that write.
     like : (H, W, 3) or (H, W)
         A frame, for its shape and type.
     """
@@ -274,7 +274,7 @@ class WritingThreads:
 
     @property
     def n_committed(self) -> int:
-        """How many frames are kept whatever comes."""
+        """Number of frames that are kept whatever comes."""
         return 0 if self._writer is None else self._writer.n_frames
 
     def start(self) -> None:

@@ -1,7 +1,7 @@
 """A recording as a video, for archives and players: lossless FFV1 in Matroska.
 
 Pixels go into FFV1's own formats of the next larger depth, values as they are; Matroska's time stamps and its colour
-element have times and transfer, and tags what no video says: the mosaic, the bits in use, and the exact rate.
+element have times and transfer, and tags what no video states: the mosaic, the bits in use, and the exact rate.
 
 References
 ----------
@@ -32,7 +32,7 @@ _OPTIONS = {"g": "1", "level": "3", "slicecrc": "1", "slices": "16"}
 _MS = Fraction(1, 1000)
 
 
-def export_video(recording: Path, video: Path, tell: Callable[[int, int], None] = lambda done, of: None) -> int:
+def export_video(recording: Path, video: Path, notify: Callable[[int, int], None] = lambda done, of: None) -> int:
     """Write every frame of a recording into a video, which decodes to the same; return how many they are.
 
     Parameters
@@ -41,8 +41,8 @@ def export_video(recording: Path, video: Path, tell: Callable[[int, int], None] 
         A recording in Zarr.
     video : Path
         The ``.mkv`` to write.
-    tell : callable
-        Told how many frames of how many are written.
+    notify : callable
+        Called with how many frames of how many are written.
 
     Raises
     ------
@@ -56,7 +56,7 @@ def export_video(recording: Path, video: Path, tell: Callable[[int, int], None] 
         raise OutputError(f"{recording} holds floats, and FFV1 8 to 16 bits: keep it in Zarr")
     try:
         make_folder(video.parent)
-        replace_file(video, lambda file: _encode(source, file, tell))
+        replace_file(video, lambda file: _encode(source, file, notify))
     except FootageError:
         raise
     except OSError as error:
@@ -64,7 +64,7 @@ def export_video(recording: Path, video: Path, tell: Callable[[int, int], None] 
     return len(source)
 
 
-def _encode(source: ZarrRecording, file: BinaryIO, tell: Callable[[int, int], None]) -> None:
+def _encode(source: ZarrRecording, file: BinaryIO, notify: Callable[[int, int], None]) -> None:
     import av  # slow to import, and only needed here
 
     format = source.format
@@ -87,7 +87,7 @@ def _encode(source: ZarrRecording, file: BinaryIO, tell: Callable[[int, int], No
             frame = _filled(av.VideoFrame(*source.size_px, stream.pix_fmt), stored.planes[0])
             frame.pts, frame.time_base = round(stored.number / source.rate_hz / _MS), _MS
             container.mux(stream.encode(frame))
-            tell(stored.number + 1, len(source))
+            notify(stored.number + 1, len(source))
         container.mux(stream.encode())
 
 

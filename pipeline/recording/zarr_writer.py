@@ -41,7 +41,7 @@ class ZarrWriter:
     size_px : (int, int)
         Width and height of every frame.
     format, tags
-        How they are stored, and what the recording says of itself.
+        How they are stored, and what the recording states of itself.
 
     Raises
     ------
@@ -111,14 +111,14 @@ def finish_recording(part: Path) -> tuple[Path, int]:
     Parameters
     ----------
     part : Path
-        What a recorder has left, see `unfinished`.
+        Recording that a recorder has left, see `unfinished`.
 
     Returns
     -------
     Path
         The recording.
     int
-        How many frames it holds.
+        Number of frames it holds.
 
     Raises
     ------

@@ -68,7 +68,7 @@ def main() -> None:
     latencies: list[float] = []
     last: list[CaptureProgress] = []
 
-    def tell(progress: CaptureProgress) -> None:
+    def notify(progress: CaptureProgress) -> None:
         last[:] = [progress]
         if progress.n_bursts % 20 == 0:
             resident.append(resident_mb())
@@ -86,7 +86,7 @@ def main() -> None:
             calibration=rig if options.live else None,
             decoding=DecodeSettings(),
             stopping=Stopping(),
-            tell=tell,
+            notify=notify,
         )
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
         size = sum(path.stat().st_size for path in summary.recording.rglob("*") if path.is_file())

@@ -114,7 +114,7 @@ def suffer(has: Instruments, period_s: float, frames: int, endless: bool, n_burs
         toll.faulty += not harmless(has, fates[-1])
         return fates[-1]
 
-    def tell(rejected: Rejected) -> None:
+    def notify(rejected: Rejected) -> None:
         nonlocal n_failed
         n_failed += 1
         if all(harmless(has, fate) for fate in fates):
@@ -124,7 +124,7 @@ def suffer(has: Instruments, period_s: float, frames: int, endless: bool, n_burs
 
     virtual = VirtualRig(next_faults, instruments=has, period_s=period_s, frames=frames, trigger_ppm=200, seed=seed)
     rig_module.time = virtual
-    with Rig(virtual.settings, virtual.open, tell) as rig:
+    with Rig(virtual.settings, virtual.open, notify) as rig:
         while toll.kept < n_bursts:
             try:
                 for burst in islice(rig.bursts(endless=endless), SESSION):

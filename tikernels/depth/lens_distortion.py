@@ -1,4 +1,4 @@
-"""How a lens bends rays: OpenCV's model, at unit depth, in the order of OpenCV's coefficients.
+"""Lens distortion of rays: OpenCV's model, at unit depth, in the order of OpenCV's coefficients.
 
     x' = x (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6)
        + 2 p1 x y + p2 (r^2 + 2 x^2) + s1 r^2 + s2 r^4

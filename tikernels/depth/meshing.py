@@ -13,13 +13,13 @@ from tikernels.strips import SPREAD
 
 @ti.func
 def link(links: U8Array2, y: i32, x: i32, bit: i32) -> i32:
-    """Whether a pixel has a link, as 0 or 1."""
+    """Return whether a pixel has a link, as 0 or 1."""
     return ti.cast((links[y, x] & bit) != 0, i32)
 
 
 @ti.func
 def square_triangles(depth: F32Array2, links: U8Array2, y: i32, x: i32) -> i32:
-    """Which triangles a square of four pixels holds: bit 0 upper left, 1 lower right, 2 upper right, 3 lower left.
+    """Return the triangles of a square of four pixels: bit 0 upper left, 1 lower right, 2 upper right, 3 lower left.
 
     A whole square is split along its diagonal with the smaller step, into bits 0 and 1, or 2 and 3.
     """
@@ -116,11 +116,11 @@ def triangulate_mesh(depth: F32, mask: Mask, links: U8) -> npt.NDArray[np.int32]
     Parameters
     ----------
     depth : (H, W) float32
-        Tells only along which diagonal a square of four pixels is split: along the one with the smaller step.
+        Determines only the diagonal that splits a square of four pixels: the one with the smaller step.
     mask : (H, W) bool or uint8
         Pixels that become vertices.
     links : (H, W) uint8
-        Which pixels an edge may join; see `link_pixels`. None leads out of the mask.
+        Pixels that an edge may join; see `link_pixels`. None leads out of the mask.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""How sure each point is: the phase's standard deviation, in millimetres along the pixel's ray.
+"""Uncertainty of each point: the phase's standard deviation, in millimetres along the pixel's ray.
 
     sigma_point = |dX / dphi| sigma_phase
 
@@ -63,7 +63,7 @@ def point_sigma(
     projector : ProjectorGeometry
         The projector.
     out : (H, W) float32, optional
-        Where the result goes.
+        Output array.
 
     Returns
     -------

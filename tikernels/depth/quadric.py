@@ -6,10 +6,10 @@ Least squares with the weights
     w = (1 - u^2 / r^2) (1 - v^2 / r^2) (sigma_0 / sigma)^2
 
 find z = a + b_u u + b_v v + c_uu u^2 + c_uv u v + c_vv v^2, of 7 x 7 samples that are a stride apart. Where too few are
-linked to tell the bend, a weak prior (that there is none) leaves a plane.
+linked to determine the curvature, a weak prior (that there is none) leaves a plane.
 
-A window that ends on one side of the pixel tells its bend and its slope apart badly. There the plane a + b_u u + b_v v
-is taken where the bend explains no more than noise does: where it lowers the weighted sum of squares by less than
+A window that ends on one side of the pixel hardly separates curvature from slope. There the plane a + b_u u + b_v v is
+used where curvature explains no more than noise does: where it lowers the weighted sum of squares by less than
 sigma_0^2, times what the errors have in common.
 """
 
@@ -31,7 +31,7 @@ FARTHEST = 4 * SIDE
 # What is left of a pixel's variance by samples 1, 2 and 4 px apart, over what would be left if their errors had nothing
 # in common: by the errors' correlations after the phase's smoothing (docs/method.md, 7).
 _ALIKE = (6.2, 3.0, 1.1)
-# Weight of the prior that a surface does not bend, of the middle pixel's: seen only where nothing else tells the bend.
+# Weight of the prior that a surface is flat, of the middle pixel's: seen only where nothing else shows its curvature.
 _FLAT = 1e-3
 # And that it does not slope.
 _LEVEL = 1e-5
@@ -52,7 +52,7 @@ _segment = ti.types.vector(STRIP + 2 * FARTHEST, ti.f32)
 
 
 class Run(IntEnum):
-    """How many pixels in a row, or a column, are linked with one."""
+    """Number of pixels in a row, or a column, that are linked with one."""
 
     LEFT = 0
     RIGHT = 1
@@ -61,7 +61,7 @@ class Run(IntEnum):
 
 
 class Fit(IntEnum):
-    """What a quadric says of its pixel."""
+    """Results of a quadric at its pixel."""
 
     VALUE = 0  # above the pixel's own
     SLOPE_DOWN = 1  # a px
@@ -296,11 +296,11 @@ def fit_windows(depth: F32, precision: F32, runs: U8, top: int, out: npt.NDArray
     precision : (H, W) float32
         1 / sigma^2; 0 where a pixel does not count.
     runs : (4, H, W) uint8
-        What `measure_runs` found.
+        Results of `measure_runs`.
     top : int
         The first row.
     out : (3, 4, rows, W) float32
-        What the quadrics of samples 1, 2 and 4 px apart say: see `Fit`.
+        Results of the quadrics of samples 1, 2 and 4 px apart: see `Fit`.
     """
     fit_windows_kernel(depth, precision, runs, top, out)
 

@@ -1,7 +1,7 @@
-"""Tell a slope from a step between neighbouring pixels, by their standard deviations and the slopes beside them.
+"""Distinguish slopes from steps between neighbouring pixels, by their standard deviations and the slopes around.
 
 Two neighbours, one pixel or one diagonal (l = 1 or sqrt 2) apart, are on one surface where the depth changes between
-them by no more than the surface goes on changing beside them, a pixel's own width w and three standard deviations:
+them by no more than the surface continues to change next to them, a pixel's own width w and three standard deviations:
 
     |z_q - z_p| <= max(0, g_p, g_q) l + w l + 3 sqrt(sigma_p^2 + sigma_q^2 + l^2 var(g)),
 
@@ -48,12 +48,12 @@ _STEEPEST = float(np.tan(np.radians(85.0)))
 # Pixels that a plane is fitted to on either side: as many as the phase's smoothing takes, so that two planes on both
 # sides of a step have little in common.
 _REACH = 3
-# Fewer pixels say nothing of a slope.
+# Fewer pixels determine no slope.
 _LEAST_COUNT = 4
 # Neighbours' errors are alike after smoothing: thirteen pixels count as one measurement of a mean (docs/method.md, 7).
 _ALIKE = 13.0
-# The root of the determinant of the pixels' scatter about their middle, px^2, that tells a plane from a line: two
-# columns of three pixels have 0.4.
+# The root of the determinant of the pixels' scatter about their middle, px^2, that distinguishes a plane from a line:
+# two columns of three pixels have 0.4.
 _LEAST_SPREAD = 0.15
 
 
@@ -90,7 +90,7 @@ def slope_beside(
                     if region[j, i] == region[y, x]:
                         away = ti.sqrt(ti.cast(dy * dy + dx * dx, ti.f32))
                         rest = depth[j, i] - middle - row_slope * dy - column_slope * dx
-                        # At first whatever may hang together with the pixel counts, then what its plane explains.
+                        # At first whatever may be connected with the pixel counts, then what its plane explains.
                         bound = _STEEPEST * width[y, x] * away
                         noise = _SURE * ti.sqrt(squared(sigma[j, i]) + squared(width[y, x]))
                         bound = ti.select(turn == 1, noise, bound)
@@ -133,13 +133,13 @@ def goes_on(
     down: i32,
     right: i32,
 ) -> u1:
-    """Whether the surface beside an edge, from a pixel in a direction, goes on as steeply as its ends are apart."""
+    """Return whether the surface next to an edge, from a pixel in a direction, is as steep as the edge itself."""
     j, i = y + down, x + right
     apart = ti.sqrt(ti.cast(down * down + right * right, ti.f32)) * ti.min(width[y, x], width[j, i])
     rise = depth[j, i] - depth[y, x]
     way = ti.select(rise > 0.0, 1.0, -1.0)
     noise, doubt, expected, found = squared(sigma[y, x]) + squared(sigma[j, i]), 0.0, 0.0, False
-    # The other side is asked where the one is not enough.
+    # The other side is used where the one is not enough.
     for side in range(2):
         if not found:
             sign = 1 - 2 * side
@@ -161,7 +161,7 @@ def link_pixels_kernel(
     region: I32Array2,  # (H, W) 0: none
     out: U8Array2,  # (H, W) bits
 ):
-    """Link what is near, 32 pixels at once, and ask of each other edge whether the surface goes on."""
+    """Link what is near, 32 pixels at once, and check at each other edge whether the surface continues."""
     height, breadth = depth.shape[0], depth.shape[1]
     for t in range(height * strip_count(breadth, STRIP)):
         y, first, count = strip_at(t, breadth, STRIP)
@@ -233,11 +233,11 @@ def link_pixels(depth: F32, sigma: F32, width: F32, region: I32, out: U8 | None 
     sigma : (H, W) float32
         Its standard deviation, in the same unit.
     width : (H, W) float32
-        What a pixel is wide there, in the same unit.
+        Width of a pixel there, in the same unit.
     region : (H, W) int32
         Surfaces from 1, 0: none. Pixels of two regions are never linked.
     out : (H, W) uint8, optional
-        Where the result goes.
+        Output array.
 
     Returns
     -------
@@ -265,7 +265,7 @@ def link_pixels(depth: F32, sigma: F32, width: F32, region: I32, out: U8 | None 
 def surely_less_steep(
     depth: F32Array2, sigma: F32Array2, width: F32Array2, max_slope: f32, y: i32, x: i32, j: i32, i: i32
 ) -> u1:
-    """Whether the depth changes by no more than `max_slope` widths between two pixels, by their standard deviations."""
+    """Return whether depth surely changes by at most `max_slope` widths between two pixels, given their sigmas."""
     noise = _SURE_OF_FITS * ti.sqrt(squared(sigma[y, x]) + squared(sigma[j, i]))
     return ti.abs(depth[j, i] - depth[y, x]) + noise <= max_slope * ti.min(width[y, x], width[j, i])
 
@@ -305,16 +305,16 @@ def cut_steep_links(links: U8, depth: F32, sigma: F32, width: F32, max_slope: fl
     sigma : (H, W) float32
         Its standard deviation, in the same unit.
     width : (H, W) float32
-        What a pixel is wide there, in the same unit.
+        Width of a pixel there, in the same unit.
     max_slope : float
         By how many widths of a pixel the depth may change from one to the next.
     out : (H, W) uint8, optional
-        Where the result goes; may be the links.
+        Output array; may be the links.
 
     Returns
     -------
     (H, W) uint8
-        What is left of the links.
+        The remaining links.
 
     Raises
     ------

@@ -2,7 +2,7 @@
 
 The quadric of `quadric.py` is fitted to samples 1, 2 and 4 px apart. A wider window is taken as long as the intervals
 a +- 1.5 sigma_a of its value, of the narrower ones' and of the pixel itself have a value in common: what a window
-flattens lies outside of them [1]. The narrowest is asked only where the second fails.
+flattens lies outside of them [1]. The narrowest is tried only where the second fails.
 
 References
 ----------
@@ -27,18 +27,18 @@ from tikernels.strips import STRIP, strip_at, strip_count
 # Half of an interval that must share a value with the others, in standard deviations: with 2 the rim of a simulated
 # head is flattened by a millimetre, with 1 the wall behind it keeps a tenth more of its noise.
 _HALF = 1.5
-# The window that most pixels around one take counts, px; and no wider one than the narrowest of those beside it.
+# The window that most pixels around one take counts, px; and no wider one than the narrowest of those next to it.
 _ODD_PX, _NEAR_PX = 7, 5
 # Where a surface ends it often bends away, and a wide window has seen one side only: as near as this, px, a pixel takes
 # no wider window than its own choice, and not the widest.
 _END_PX, _WIDEST_AT_END = 3, WINDOWS - 1
-# Rows that are fitted at a time, so that all windows' fits of a large picture need not be kept; and those beside them
-# that tell which window counts.
+# Rows that are fitted at a time, so that all windows' fits of a large picture need not be kept; and those next to them
+# that determine which window counts.
 _ROWS, _BESIDE = 256, _ODD_PX // 2 + 2 * (_NEAR_PX // 2)
 
 
 class FittedSurface(NamedTuple):
-    """What the fit says of every pixel."""
+    """Results of the fit at every pixel."""
 
     depth: npt.NDArray[np.float32]
     """(H, W) float32: the quadric's value, in the depth's unit; where there is no pixel, as it was."""
@@ -136,7 +136,7 @@ def fit_surface(depth: F32, sigma: F32, mask: Mask, links: U8) -> FittedSurface:
     mask : (H, W) bool or uint8
         Pixels that have a depth.
     links : (H, W) uint8
-        What is on one surface with what; see `link_pixels`. None leads out of the mask.
+        Links between pixels of one surface; see `link_pixels`. None leads out of the mask.
 
     Returns
     -------
@@ -172,7 +172,7 @@ def fit_surface(depth: F32, sigma: F32, mask: Mask, links: U8) -> FittedSurface:
 
 
 def _agreed(chosen: npt.NDArray[np.uint8], mask: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
-    """Return which window to take, by what the pixels around each one chose: what is off the mask has no say.
+    """Return which window to take, by what the pixels around each one chose: what is off the mask does not count.
 
     What few pixels say of their window against all others is chance, and so are the lines along which a quadric happens
     to be right.

@@ -28,14 +28,14 @@ strip_of_floats = ti.types.vector(STRIP, ti.f32)
 
 
 class ProjectorGeometry(NamedTuple):
-    """Where the projector stands and how its phase runs."""
+    """The projector's pose, and the course of its phase."""
 
     rotation: npt.NDArray[np.float64]  # 3x3, X_projector = rotation X_camera + translation
     translation_mm: npt.NDArray[np.float64]  # 3
     focal_px: float  # along the axis on which the phase changes
     center_px: float  # on that axis
     distortion: npt.NDArray[np.float64]  # 5 or 14, OpenCV's
-    period_px: float  # projector px a cycle
+    period_px: float  # projector px per cycle
     axis: int  # 0: the phase changes with the column, 1: with the row
 
     def arguments(self) -> tuple[npt.NDArray[np.float32], int, int]:
@@ -161,7 +161,7 @@ def triangulate(unwrapped_phase: F32, rays: F32, projector: ProjectorGeometry, o
     projector : ProjectorGeometry
         The projector.
     out : (H, W, 3) float32, optional
-        Where the result goes.
+        Output array.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Put vertices on their pixels' rays, or beside them, with normals by the slopes of the depth.
+"""Put vertices on their pixels' rays, or next to them, with normals by the slopes of the depth.
 
 A point is z r(x, y), with r = (r_x, r_y, 1) its pixel's ray. From column to column and from row to row it moves by
 
@@ -28,7 +28,7 @@ _cubics = ti.types.matrix(4, _DEGREE + 1, ti.f32)
 @kernel
 def place_vertices_kernel(
     depth: F32Array2,  # (H, W) mm
-    slope: F32Array3,  # (H, W, 2) mm a px, down and to the right
+    slope: F32Array3,  # (H, W, 2) mm per px, down and to the right
     shift: F32Array3,  # (H, W, 2) px, likewise
     points: F32Array3,  # (H, W, 3) mm
     measured: U8Array2,  # (H, W) where there are points
@@ -85,7 +85,7 @@ def place_vertices(depth: F32, slope: F32, shift: F32, points: Floats, mask: Mas
     points : (H, W, 3) float32
         mm, camera frame.
     mask : (H, W) bool or uint8
-        Where there are points; elsewhere rays are those of the cubic.
+        True where there are points; elsewhere rays are those of the cubic.
     kept : (H, W) bool or uint8
         Pixels that become vertices.
 
@@ -124,7 +124,7 @@ def ray_cubic(points: Floats, mask: npt.NDArray[np.bool_]) -> Floats:
     points : (H, W, 3) float32
         mm, camera frame.
     mask : (H, W) bool
-        Where they are; in one pixel at least.
+        True where there are points; in one pixel at least.
 
     Returns
     -------

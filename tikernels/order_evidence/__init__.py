@@ -1,4 +1,4 @@
-"""What a frame shows of the absolute fringe orders: the contrast of each cycle, and the votes of the frame before."""
+"""Evidence of a frame's absolute fringe orders: the contrast of each cycle, and the votes of the frame before."""
 
 from typing import TYPE_CHECKING
 

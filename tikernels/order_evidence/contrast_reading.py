@@ -3,8 +3,8 @@
 The contrast of a cycle is its mean modulation over its mean background. Neither the surface's reflectance nor its
 shading is in it; what changes it otherwise (ambient light, blur) changes slowly. Pixels weigh (1 - (phase / pi)^2)^2:
 most in the middle of the cycle, where the symbol is its own, and in such a way that the ripple which a response that is
-not linear gives the modulation, three times a cycle, sums up to nothing over a whole cycle, however few pixels it has.
-What part of a cycle has of the ripple is summed, too.
+not linear gives the modulation, three times per cycle, sums up to nothing over a whole cycle, however few pixels it
+has. What part of a cycle has of the ripple is summed, too.
 """
 
 from functools import cache

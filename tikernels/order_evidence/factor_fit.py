@@ -1,4 +1,4 @@
-"""Fit what the contrasts of a part's blocks have in common beside the code, at many offsets at once.
+"""Fit what the contrasts of a part's blocks have in common besides the code, at many offsets at once.
 
 The logarithm of a block's contrast is the code's at some offset, plus a factor: a plane over the part less a share of
 ambient light. Both are fitted robustly at each offset, and the likelihood is that of what the fit leaves.
@@ -34,15 +34,15 @@ from tikernels.launching import kernel
 from tikernels.unwrapping.patches import one_thread_is_faster
 from tikernels.unwrapping.tables import add_alone
 
-#: What a block's contrast deviates by beside the camera's noise (natural logarithm) where a symbol is one cell, each
-#: twice the one before; by half as much where a cycle has one symbol. And the one that is fitted with.
+#: Deviation of a block's contrast besides the camera's noise (natural logarithm) where a symbol is one cell, each twice
+#: the one before; by half as much where a cycle has one symbol. And the one that is fitted with.
 SPREADS = (0.012, 0.024, 0.048, 0.096)
 FITTED = 0.016
 # How probably a block shows something else than the code, and how far that then lies off.
 _OTHER, _OTHER_SIGMA = 0.15, 0.2
 # Rounds in which a fit finds out which blocks show something else; they start at the median, which is found by halving.
 _ROUNDS, _HALVINGS = 3, 10
-#: Levels that stand for all of a code's.
+#: Levels that represent all of a code's.
 LEVELS = 8
 #: In place of a response's number: as if all blocks showed the same level, or each one by itself.
 EVEN = -1
@@ -55,7 +55,7 @@ _FAR, _LEAST = 1e6, 1e-5
 
 
 class Row(IntEnum):
-    """What is known of each block."""
+    """Measurements of each block."""
 
     LEVEL = 0  # its contrast, natural logarithm
     VARIANCE = 1  # of that, by noise
@@ -72,7 +72,7 @@ ROWS = 12
 
 
 class Fitted(NamedTuple):
-    """What was fitted to a part's blocks."""
+    """Parameters fitted to a part's blocks."""
 
     likelihood: npt.NDArray[np.float64]
     """(K,) natural logarithm."""
@@ -137,7 +137,7 @@ def factor_terms(values: Static, n: i32, gain_sigma: f32) -> vec4:
 
 @ti.func
 def has_order(values: Static, n: i32, offset: i32, cycles: i32, response: i32) -> u1:
-    """Whether the code has the order of a block at an offset."""
+    """Return whether the code has the order of a block at an offset."""
     order = values[Row.ORDER, n] + offset
     return (response < 0) | ((order > -0.5) & (order < cycles - 0.5))
 
@@ -215,7 +215,7 @@ def fit_factors_kernel(
     any_of: F32Array1,  # (1 + LEVELS,) the code's mean level, and levels less it, which stand for all
     gain: f32,  # the usual factor
     gain_sigma: f32,  # by how much a part's differs from it
-    gain_known: i32,  # 0: the part's own median is taken for the usual factor
+    gain_known: i32,  # 0: the part's own median is used as the usual factor
     by_cycle: i32,  # 1: all blocks of a cycle have the same level
     departs: F32Array2,  # (K, n) to work with
     out: F32Array2,  # (K, 6) logarithm of the likelihood, the same of other levels, and the factor's terms
@@ -353,7 +353,7 @@ def fit_factors(
     gain : two float
         The usual factor, if it is known, and by how much a part's differs from it, as a standard deviation.
     by_cycle : bool
-        Whether all blocks of a cycle have the same level.
+        True if all blocks of a cycle have the same level.
     level : (K, n) float32, optional
         The blocks' contrasts in each fit, if not as they were seen.
     """
@@ -391,7 +391,7 @@ def flatten(
     cells : (3, n) int32
         Row, column and class of brightness of each, from 0; classes side by side are about as bright.
     offsets : (K,) int
-        Whole cycles that the orders lack: each is taken for the part's.
+        Whole cycles that the orders lack: each is tried as the part's.
     terms : (4, K) float
         The factors there.
     levels : (responses, cycles, places) float32

@@ -48,12 +48,12 @@ from tikernels.strips import STRIP, strip_at, strip_count
 TABLED = 20
 #: Terms of the columns along the stripe are known at nodes this many px apart, as a strip is long.
 NODE_PX = STRIP
-#: Of the frame's pixels every sixteenth column tells enough, and every fourth row, another one from column to column.
+#: Of the frame's pixels every sixteenth column is enough, and every fourth row, another one from column to column.
 EVERY_COLUMN, EVERY_ROW = 16, 4
 
 
 class CodeRipples(NamedTuple):
-    """What a code changes, by the absolute phase and the place along the stripe, and how much of it bends the phase."""
+    """Changes that a code makes, by absolute phase and place along the stripe, and the part that bends the phase."""
 
     table: npt.NDArray[np.float32]
     """(N, places, 3) TABLED a cycle, from the first cycle's middle on: the contrast's deviation from the usual one, as
@@ -225,9 +225,9 @@ def measure_bends(
     region : (H, W) int32
         The region's number from 1; 0 outside.
     known : (regions + 1,) bool
-        Whether a region's orders are absolute; see `correct_by_modulation`.
+        True where a region's orders are absolute; see `correct_by_modulation`.
     ripples : CodeRipples
-        What the code does, whatever the shares.
+        Ripples of the code, whatever the shares.
     half : int
         Rows of half a cycle.
     most : float
@@ -266,10 +266,10 @@ def correct_by_modulation(
     unwrapped : (H, W) float32
         rad.
     known : (regions + 1,) bool
-        Whether a region's orders are absolute; False for 0. It must reach to the largest number in `region`:
+        True where a region's orders are absolute; False for 0. It must reach to the largest number in `region`:
         nobody checks that, which would cost a pass over the image.
     ripples : CodeRipples
-        What the code does.
+        Ripples of the code.
     out : (H, W) float32
         The phase (rad, a little beyond [-pi, pi]), which is corrected.
 

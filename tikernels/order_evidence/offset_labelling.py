@@ -1,6 +1,6 @@
 """Label the patches of a region with the offsets that their code names, weighing all offsets and all patches at once.
 
-Each patch has evidence: by how much its blocks deviate from the code at every offset. A patch alone tells little. The
+Each patch has evidence: by how much its blocks deviate from the code at every offset. A patch alone shows little. The
 labels start from the windows and pieces that show another offset than the region's (`offset_windows.py`), and from
 evidence pooled along contacts, and settle between what a patch shows and what its neighbours are labelled with, a step
 at every contact that separates two labels costing more the better the contact is supported: a Potts model, by iterated
@@ -72,14 +72,14 @@ def weigh_offsets_kernel(
 
 
 class OffsetEvidence(NamedTuple):
-    """What the blocks of each patch say of each offset."""
+    """Evidence of each patch's blocks for each offset."""
 
     sums: npt.NDArray[np.float32]
     """(P, groups, 2, LANES) squared deviations from the code, in variances, and deviations, in standard deviations."""
     weight: npt.NDArray[np.float32]
     """(P,) as how many blocks they count."""
     offsets: int
-    """How many there are."""
+    """Number of offsets."""
 
     def only(self, offsets: npt.NDArray[np.integer]) -> "OffsetEvidence":
         """Return the evidence of some offsets (n,), counted from the first one."""
@@ -117,7 +117,7 @@ def weigh_offsets(
     sigma : (N,) float
         Its standard deviation.
     columns : (N, 4) float32
-        Where it looks along the stripe: terms of a polynomial of its cycle, in repeats of the code.
+        Places along the stripe: terms of a polynomial of its cycle, in repeats of the code.
     code : (cycles, places) float
         The code's levels.
     offsets : range
@@ -125,7 +125,7 @@ def weigh_offsets(
     count : int
         Of patches, P.
     most : float
-        What a block may deviate by, in standard deviations; by so much does one outside the code.
+        Largest deviation of a block, in standard deviations; by so much does one outside the code.
     """
     sums = runtime.empty_on_host((count, -(-len(offsets) // LANES), 2, LANES), np.float32)
     sums[...] = 0
@@ -149,7 +149,7 @@ def pool_evidence(
     ends : (2, C) int
         The patches of each contact.
     weights : (C,) float
-        How much counts what comes over each contact.
+        Weight of what comes over each contact.
 
     Returns
     -------
@@ -175,13 +175,13 @@ def settle_labels(
     Parameters
     ----------
     evidence : (P, labels) float32
-        What each label costs each patch.
+        Cost of each label for each patch.
     labels : (P,) int
         To begin with.
     ends : (2, C) int
         The patches of each contact.
     costs : (C,) float
-        What two labels cost that differ across each contact.
+        Cost of two labels that differ across each contact.
 
     Returns
     -------

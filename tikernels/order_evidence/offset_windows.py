@@ -1,11 +1,11 @@
 """Find where in a region the code shows another offset than the region's: in windows, and in pieces of like brightness.
 
-A patch alone tells little, so windows of several sizes are laid everywhere over the grid of cells. A surface that is
+A patch alone shows little, so windows of several sizes are laid everywhere over the grid of cells. A surface that is
 joined across a step of whole cycles is seldom a rectangle, but mostly brighter or darker than what is behind it: so the
-pieces of cells that hang together above and below some levels of brightness are asked as well (the extremal regions of
-J. Matas et al., Robust wide baseline stereo from maximally stable extremal regions, BMVC 2002). All blocks of a window
-or a piece may be off alike, as those of another paint are; apart from that, the likelihood ratio of two offsets tells
-which of them it shows.
+pieces of cells that are connected above and below some levels of brightness are checked as well (the extremal regions
+of J. Matas et al., Robust wide baseline stereo from maximally stable extremal regions, BMVC 2002). All blocks of a
+window or a piece may be off alike, as those of another paint are; apart from that, the likelihood ratio of two offsets
+determines which of them it shows.
 """
 
 from collections.abc import Sequence
@@ -35,7 +35,7 @@ from tikernels.unwrapping.patches import one_thread_is_faster
 
 # Levels of brightness, evenly spaced between these quantiles of the cells'.
 _LEVELS, _FROM_TO = 8, (0.02, 0.98)
-# Pieces of fewer cells than the smallest windows are not asked.
+# Pieces of fewer cells than the smallest windows are not checked.
 _LEAST_CELLS = 9
 
 
@@ -63,7 +63,7 @@ def sum_tables_kernel(
 
 @ti.func
 def window_sum(table: Static, corner: i32, below: i32, beside: i32, group: i32, kind: Static):
-    """Return the sum of the cells between a place of a table, and those so far below and beside it."""
+    """Return the sum of the cells between a place of a table, and those so far below it and to its right."""
     all_of = table[corner + below + beside, group, kind] - table[corner + below, group, kind]
     return all_of - table[corner + beside, group, kind] + table[corner, group, kind]
 
@@ -123,7 +123,7 @@ def scan_windows_kernel(
 
 
 class Cells(NamedTuple):
-    """Where a region's patches are in the image's grid of cells, counted from the region's first ones."""
+    """Places of a region's patches in the image's grid of cells, counted from the region's first ones."""
 
     row: npt.NDArray[np.int64]
     """(P,)"""
@@ -153,7 +153,7 @@ class _Found(NamedTuple):
 
 
 class _Rule(NamedTuple):
-    """When a window or a piece shows another offset; see `find_other_offsets`."""
+    """Conditions under which a window or a piece shows another offset; see `find_other_offsets`."""
 
     most_columns: float
     common: float
@@ -178,7 +178,7 @@ def find_other_offsets(
     evidence : OffsetEvidence
         Of the patches.
     cells : Cells
-        Where they are.
+        Their places.
     brightness : (P,) float
         The logarithm of their blocks' brightness, times as how much they count.
     own : int

@@ -45,7 +45,7 @@ _MAX_BEND = 2.5
 
 @ti.func
 def smooth_around(phase: F32Array2, y: i32, x: i32) -> i32:
-    """Whether a surface goes on around a pixel; not where the image ends."""
+    """Return whether a surface continues around a pixel; not where the image ends."""
     height, width, far = phase.shape[0], phase.shape[1], ti.static(_REACH[-1])
     smooth = 0
     if ti.min(y, x) >= far and y < height - far and x < width - far:
@@ -69,7 +69,7 @@ def vote_orders_kernel(
     before: F32Array2,  # (H, W) rad, unwrapped phase of the frame before; NaN outside its mask
     region_before: I32Array2,  # (H, W)
     change: F32Array2,  # (regions + 1, 3) rad by which the phase of each region before is expected to change, and its
-    # slopes, rad a px, along rows and columns
+    # slopes, rad per px, along rows and columns
     out_votes: I32Array2,  # (5, cells * VOTES_A_CELL)
 ):
     """Ask every fourth pixel both ways what its patch lacks to agree with the frame before."""
@@ -124,7 +124,7 @@ def vote_orders(
         Its regions.
     change : (regions + 1, 3) float32
         By how much the phase of each is expected to change since, rad, and the slopes of that along rows and columns,
-        rad a px, the first pixel at 0.
+        rad per px, the first pixel at 0.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Join patches to parts along their contacts, unless what they show tells that they lie whole cycles apart.
+"""Join patches to parts along their contacts, unless their evidence shows that they lie whole cycles apart.
 
 A region may hold several surfaces with a hidden step of whole cycles between them. Each patch brings evidence: by how
 much it deviates from each of a few candidate offsets. Contacts are gone through once, the best supported first; the
@@ -34,7 +34,7 @@ def likeliest(evidence: F32Array2, part: i32) -> i32:
 def lie_apart(
     a: i32, b: i32, span: i32, min_margin: f32, margin_a_pair: f32, orders: I32Array2, evidence: F32Array2
 ) -> u1:
-    """Whether two parts show enough orders, and each prefers its own offset to the other's."""
+    """Return whether two parts show enough orders, and each prefers its own offset to the other's."""
     best_a, best_b = likeliest(evidence, a), likeliest(evidence, b)
     need_a = ti.max(min_margin, margin_a_pair * evidence[a, CANDIDATES])
     need_b = ti.max(min_margin, margin_a_pair * evidence[b, CANDIDATES])
@@ -85,7 +85,7 @@ def join_parts(
     orders: npt.NDArray[np.int32],
     evidence: npt.NDArray[np.float32],
 ) -> npt.NDArray[np.int32]:
-    """Join patches along their contacts, but not two parts whose evidence tells that they lie whole cycles apart.
+    """Join patches along their contacts, but not two parts whose evidence shows that they lie whole cycles apart.
 
     Parameters
     ----------

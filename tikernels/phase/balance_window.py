@@ -24,14 +24,14 @@ numbers = ti.types.vector(STRIP, ti.f32)
 
 
 class BalanceWindow:
-    """Where blocks and nodes lie in an image of one size, and how the window weighs them.
+    """Places of blocks and nodes in an image of one size, and the window's weights.
 
     Parameters
     ----------
     height, width : int
         The image's, stripes along the rows, px.
     period_px : float
-        Camera px a cycle.
+        Camera px per cycle.
     """
 
     def __init__(self, height: int, width: int, period_px: float) -> None:
@@ -58,7 +58,7 @@ class BalanceWindow:
         half : (Hg, Wg, N) float32
             Scratch.
         out : (Hg, Wg, N) float32
-            Where the result goes.
+            Output array.
         """
         smooth_across_kernel(sums, self._across, half)
         smooth_along_kernel(half, self._along, out)
@@ -82,7 +82,7 @@ def half_gaussian(sigma: float, offset: float = 0.0) -> npt.NDArray[np.float32]:
 def add_shifted(total: Static, weight: f32, sums: F32Array3, i: i32, place: i32, first: i32, stop: i32):
     """Add a strip of a row to a total that is changed, weighed, from its first to its stop-th number.
 
-    The sums of a row's blocks lie one after another, so a strip of them is taken for sums of the first block.
+    The sums of a row's blocks lie one after another, so a strip of them is treated as sums of the first block.
     """
     for k in range(first, stop):
         total[k] += weight * sums[i, 0, place + k]
@@ -98,7 +98,7 @@ def smooth_across_kernel(
     for t in range(out.shape[0] * strip_count(out.shape[1] * out.shape[2], STRIP)):
         i, place, count = strip_at(t, out.shape[1] * out.shape[2], STRIP)
         total = numbers(0.0)
-        for step in range(2 * taps.shape[0]):  # up and down in turns
+        for step in range(2 * taps.shape[0]):  # up and down, alternating
             tap = step // 2
             row = ti.select(step % 2 == 0, 2 * i - tap, 2 * i + 1 + tap)
             if row >= 0 and row < sums.shape[0]:
@@ -118,7 +118,7 @@ def smooth_along_kernel(
         row = out.shape[1] * out.shape[2]
         i, place, count = strip_at(t, row, STRIP)
         total = numbers(0.0)
-        for step in range(1, 2 * taps.shape[0]):  # to the left and right in turns
+        for step in range(1, 2 * taps.shape[0]):  # left and right, alternating
             tap = step // 2
             first = place + ti.select(step % 2 == 0, -tap, tap) * out.shape[2]
             add_shifted(total, taps[tap], sums, i, first, ti.max(-first, 0), ti.min(row - first, count))

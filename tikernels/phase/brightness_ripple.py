@@ -1,4 +1,4 @@
-"""What of the brightness follows the fringe, all over a frame: its phase, and its contrast.
+"""Brightness that follows the fringe, all over a frame: its phase, and its contrast.
 
 Brightness and one cycle of the channels (`channel_template.py`) are known but for a common function of the phase:
 C_i = s t_i = (s / g(phi)) (g(phi) t_i). Phases do not care; but what s has of g shows as stripes. The object knows
@@ -9,12 +9,12 @@ nothing of the phase, so of log s that is g which a frame's pixels have in commo
 by least squares, after both sides have lost what is smooth on the object (P. M. Robinson, Root-N-consistent
 semiparametric regression, Econometrica 56, 1988, doi:10.2307/1912705): here by second differences over three rows a
 quarter of a cycle apart, which leave out slopes, take the first and third harmonic twice and the second four times.
-Six numbers a frame take nothing from the picture's resolution, where the same by tiles of the frame would take print
+Six numbers per frame take nothing from the picture's resolution, where the same by tiles of the frame would take print
 for ripple.
 
 Nor does the object know of a code, which changes the contrast kappa from cycle to cycle: of log s that is taken off
 which follows log kappa, by a straight line over rows a whole cycle apart. A code keeps the peak of every cycle, which
-is what s is made of, but for what a response that is not linear makes of it: 0.015 at gamma 2.
+is what s consists of, but for the effect of a response that is not linear: 0.015 at gamma 2.
 """
 
 import numpy as np
@@ -79,7 +79,7 @@ def sum_ripple_kernel(
         y, first, count = strip_at(strip, columns, STRIP)
         sums = ti.Vector.zero(f32, _SUMS)
         for number in range(first, first + count):
-            # Another one from row to row, so that all columns are asked.
+            # Another one from row to row, so that all columns are sampled.
             x = ti.min(number * EVERY + y % EVERY, brightness.shape[1] - 1)
             change, waves, holds = 0.0, ti.Vector.zero(f32, RIPPLE_TERMS), 1.0
             for k in ti.static(range(3)):
@@ -140,12 +140,12 @@ def contrast_slope(brightness: F32, contrast: F32, mask: Mask, period_px: float)
     mask : (H, W) bool or uint8
         Valid pixels.
     period_px : float
-        Camera px a cycle.
+        Camera px per cycle.
 
     Returns
     -------
     slope : float
-        0 where hardly anything tells.
+        0 with too little evidence.
     mean : float
         Of the contrast's logarithm.
 
@@ -179,12 +179,12 @@ def measure_ripple(brightness: F32, phase: F32, mask: Mask, period_px: float) ->
     mask : (H, W) bool or uint8
         Valid pixels.
     period_px : float
-        Camera px a cycle.
+        Camera px per cycle.
 
     Returns
     -------
     (6,) float32
-        u_1, v_1, u_2, v_2, u_3, v_3 of log g; zeros where hardly anything tells.
+        u_1, v_1, u_2, v_2, u_3, v_3 of log g; zeros with too little evidence.
 
     Raises
     ------

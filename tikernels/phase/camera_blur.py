@@ -7,7 +7,7 @@ brightness, by
     1 + v/2 laplacian(s exp(i phi)) / (s exp(i phi)) + ...,
 
 whose imaginary part turns the phase by v grad(log s) grad(phi), besides the mean over the blur that any pixel sees. At
-12 px a cycle an edge where the brightness doubles makes 0.06 rad of it.
+12 px per cycle an edge where the brightness doubles makes 0.06 rad of it.
 """
 
 from functools import cache
@@ -40,7 +40,7 @@ from tikernels.phase.wrapped_phase import LEAST_NO_PHASE, NO_PHASE
 VARIANCE_PX = 1 / 3
 # How far it may be from that, and what the second order leaves at lips and moles, as a standard deviation.
 _DOUBT_PX = 0.5
-# Slopes on either side of a pixel that differ by more than this, or are steeper, are none: a step is near. rad a px
+# Slopes on either side of a pixel that differ by more than this, or are steeper, are none: a step is near. rad per px
 _SAME_SLOPE, _STEEPEST = 0.4, 1.2
 
 
@@ -48,7 +48,7 @@ _SAME_SLOPE, _STEEPEST = 0.4, 1.2
 def turned_by_blur(before: Static, here: Static, after: Static, dim: Static, bright: Static):
     """Return grad(log s) grad(phi) along one direction, from lanes of phases in a row and the brightness at both ends.
 
-    Zero beside a step, and where there is no phase.
+    Zero next to a step, and where there is no phase.
     """
     one, other = wrap_lanes(here - before), wrap_lanes(after - here)
     # (s1 - s0) / (s1 + s0) is the hyperbolic tangent of half the logarithms' difference: it cannot run away.
@@ -110,7 +110,7 @@ def undo_camera_blur(phase: F32, brightness: F32, precision: F32, out: tuple[F32
     precision : (H, W) float32
         1 / rad^2, one over the phase's variance.
     out : two (H, W) float32
-        Where the phase goes, rad, not the input; and its misfit, in units of that variance, which is added to.
+        The phase, rad, not the input; and its misfit, in units of that variance, which is added to.
 
     Raises
     ------

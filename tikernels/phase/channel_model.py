@@ -1,4 +1,4 @@
-"""What each channel of a pixel should be, given its phase: the surface's light, with all that bends it.
+"""The expected value of each channel of a pixel, given its phase: the surface's light, with all that bends it.
 
     C_i = s A_i t_i(phi) + B_i
 
@@ -9,16 +9,16 @@ pixel's own brightness, is free. Where the pixel turns away from the projector t
 stays: only a model with B_i knows.
 
 Everything is fitted by linear least squares to the samples of `color_balance.py`, whose phase is the arctangent's,
-equalised. With the phase given, s t_i is linear in the template's numbers; s itself is what the channels' mean tells.
+equalised. With the phase given, s t_i is linear in the template's numbers; s itself follows from the channels' mean.
 With the template, A_i and B_i are a straight line through channel against s t_i, over the balance window. Where the
 window is cut off, at the edge of a surface or of the image, part of the fringe passes it, and the line is bent with it:
-there the nodes around, whose windows are whole, say what A_i and B_i are. What share of the mean background is ambient
-light, the frame tells: its modulation is proportional to what the projector sends, its background is not, so a straight
-line of one over the other crosses zero where only ambient light is left.
+there A_i and B_i are those of the nodes around, whose windows are complete. The frame determines which share of the
+mean background is ambient light: its modulation is proportional to the projector's light, its background is not, so a
+straight line of one over the other crosses zero where only ambient light is left.
 
-The fit that takes phases from a frame's own intensities and intensities from phases, in turns, is that of Z. Wang and
-B. Han, Advanced iterative algorithm for phase extraction of randomly phase-shifted interferograms, Optics Letters 29,
-2004, doi:10.1364/OL.29.001671; one turn is enough here.
+The fit that takes phases from a frame's own intensities and intensities from phases, alternating, is that of Z. Wang
+and B. Han, Advanced iterative algorithm for phase extraction of randomly phase-shifted interferograms, Optics Letters
+29, 2004, doi:10.1364/OL.29.001671; one turn is enough here.
 """
 
 from enum import IntEnum
@@ -55,7 +55,7 @@ from tikernels.strips import SPREAD, STRIP, color_of, lanes_of_colors, set_color
 _UPPER = tuple((a, b) for a in range(TERMS) for b in range(a, TERMS))
 _CORNERS, _HALF = len(_UPPER), len(_UPPER) // 2
 #: The template is fitted to every fourth sample of each row: a fringe of 12 px that runs along the rows shows twelve
-# phases, and nine numbers a channel need most of them.
+# phases, and nine numbers per channel need most of them.
 EVERY = 4
 #: What is known of the template beforehand weighs as much as this many samples: nothing where there is a surface.
 PRIOR_SAMPLES = 30
@@ -114,7 +114,7 @@ class ChannelModel:
         self.gains = gains
         height, columns = int(gains.samples.shape[0]), int(gains.samples.shape[1])
         blocks, grid = gains.window.blocks, gains.window.grid
-        #: (H, Wb, 3) the samples times their gains, levels; kept beside them, so that a frame may be fitted twice.
+        #: (H, Wb, 3) the samples times their gains, levels; kept next to them, so that a frame may be fitted twice.
         self.balanced = runtime.empty((height, columns, 3), np.float32)
         #: (H, Wb) rad, the samples' bare phase; NO_PHASE where there is none.
         self.phases = runtime.empty((height, columns), np.float32)
@@ -133,7 +133,7 @@ class ChannelModel:
         self.nodes = runtime.empty((*grid, _Shared.WEIGHT), np.float32)
         #: (3, terms) t_i: 1, cosines, sines.
         self.template = np.zeros((3, TERMS), np.float32)
-        #: How sharp the fringe is around every node beside the template.
+        #: Sharpness of the fringe around every node, relative to the template.
         self.sharpness = FringeSharpness(blocks, grid, (gains.height / gains.period_px, gains.width / gains.period_px))
         #: How far the template's fundamentals are from those that crosstalk and lateral colour make, as a fraction.
         self.mismatch = np.nan
@@ -148,21 +148,21 @@ class ChannelModel:
         Parameters
         ----------
         crosstalk : Crosstalk
-            What the gains were measured with.
+            Crosstalk of the measurement.
         levels : FrameLevels
             Clipped samples, and those with less modulation, have no phase.
 
         Returns
         -------
         (tiles, bins) int64
-            How often the bare phase falls into each bin of the cycle from -pi to pi, by tile of the image. A sample
+            Counts of the bare phase in each bin of the cycle from -pi to pi, by tile of the image. A sample
             with one clipped channel counts: else the phases at which that channel is bright would be missing.
         """
         gains = self.gains
         samples = (gains.samples, gains.gains, gains.sums, gains.spacing_px, crosstalk.weights)
         self._histogram.fill(0)
         out = (self._histogram, self.balanced, self.phases, self._moments)
-        recover_samples_kernel(*samples, levels.modulation, levels.telling, levels.clipped, *out)
+        recover_samples_kernel(*samples, levels.modulation, levels.reliable, levels.clipped, *out)
         moments = runtime.to_host(self._moments)  # synchronises
         count, modulation, background, square, product = moments.sum(axis=0, dtype=np.float64)
         # Over the frame the modulation is proportional to what the projector sends, the background has the ambient
@@ -189,16 +189,16 @@ class ChannelModel:
         Parameters
         ----------
         crosstalk : Crosstalk
-            What the gains were measured with.
+            Crosstalk of the measurement.
         correction : (bins + 1,) float32
             rad, to be added to the bare phase; see `equalization.correction_table`.
         known : (3, terms) float32
-            The template as far as it is known: it helps to tell the samples' brightness, and stays where there are
+            The template as far as it is known: it helps to determine the samples' brightness, and stays where there are
             hardly any.
         contrast_doubt : float
             Standard deviation of a pixel's contrast about what its neighbourhood shows, as a fraction.
         fixed : bool
-            Whether the template is known for sure, and not fitted.
+            True if the template is known for sure, and not fitted.
 
         Raises
         ------
@@ -251,7 +251,7 @@ class ChannelModel:
 
 @ti.func
 def is_lit(light: vec3, min_intensity: f32, clipped: f32) -> u1:
-    """Whether a pixel is bright enough, and not two of its channels are clipped.
+    """Return whether a pixel is bright enough, and not two of its channels are clipped.
 
     Leaving out whatever has a single clipped channel would leave out the phases at which it is bright.
     """
@@ -268,7 +268,7 @@ def recover_samples_kernel(
     spacing_px: i32,
     phase_weights: F32Array2,  # (3, 3)
     min_modulation: f32,  # levels
-    telling: f32,  # modulation of a sample that says which share of the light is ambient, levels
+    reliable: f32,  # modulation of a sample that shows which share of the light is ambient, levels
     max_level: f32,
     out_histogram: I32Array2,  # (tiles, bins) how often each phase is seen, to be added to
     out_balanced: F32Array3,  # (H, Wb, 3) the same, times their gains
@@ -295,14 +295,14 @@ def recover_samples_kernel(
             whole = (seen.max() < max_level) & (k < count)
             bare = arctangent(vector.y, vector.x)
             angle[k] = ti.select(whole & (modulation > min_modulation), bare, NO_PHASE)
-            counts = is_lit(seen, 0.0, max_level) & (modulation > telling) & (k < count)
+            counts = is_lit(seen, 0.0, max_level) & (modulation > reliable) & (k < count)
             place[k] = ti.select(counts, place_in_cycle(bare, bins), -1.0)
-            tells = ti.select(whole & (modulation > telling), 1.0, 0.0)
-            moments[_Moment.COUNT, k] = tells
-            moments[_Moment.MODULATION, k] = tells * modulation
-            moments[_Moment.BACKGROUND, k] = tells * background
-            moments[_Moment.SQUARE, k] = tells * background * background
-            moments[_Moment.PRODUCT, k] = tells * background * modulation
+            counted = ti.select(whole & (modulation > reliable), 1.0, 0.0)
+            moments[_Moment.COUNT, k] = counted
+            moments[_Moment.MODULATION, k] = counted * modulation
+            moments[_Moment.BACKGROUND, k] = counted * background
+            moments[_Moment.SQUARE, k] = counted * background * background
+            moments[_Moment.PRODUCT, k] = counted * background * modulation
             set_color(light, k, seen * gain)
         for k in range(count):
             out_phase[y, first + k] = angle[k]
@@ -351,7 +351,7 @@ def sum_template_kernel(
         right, asked = ti.Matrix.zero(f32, TERMS, 3), 0.0
         background_weights = vec3(phase_weights[2, 0], phase_weights[2, 1], phase_weights[2, 2])
         for number in range(first, first + count):
-            # Another one from row to row, so that all columns are asked.
+            # Another one from row to row, so that all columns are sampled.
             j = ti.min(number * EVERY + y % EVERY, samples.shape[1] - 1)
             if has_phase(phases[y, j]):
                 ambient = ambient_at(smooth, spacing_px, share, y, j * spacing_px)
@@ -362,7 +362,7 @@ def sum_template_kernel(
                 light = sample_at(samples, y, j) - ambient
                 asked += 1.0
                 # Each sample with its own brightness: bright ones count more, as they are more certain. The background
-                # tells it whatever the phase, apart from what is known of the response and lateral colour.
+                # shows it at any phase, apart from what is known of the response and lateral colour.
                 waves *= light.dot(background_weights) / cycle_at(known, waves).dot(background_weights)
                 for place in ti.static(range(_HALF)):
                     upper[place] += waves[_UPPER[place][0]] * waves[_UPPER[place][1]]

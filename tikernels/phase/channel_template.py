@@ -2,13 +2,13 @@
 
     t_i(phi) = 1 + sum over n of c_in cos(n phi) + s_in sin(n phi)
 
-has projector response, crosstalk and lateral colour in it. `channel_model.py` reads it off the frame; here stand what
+has projector response, crosstalk and lateral colour in it. `channel_model.py` measures it in the frame; here are what
 is known of it beforehand, and the mathematics of a pixel. Its rows are 1, c_i1 to c_i4, s_i1 to s_i4.
 
 Four harmonics, although a response of gamma 2 makes two: a sample is divided by its own brightness, which has the
 response's third harmonic r in it, common to channels a third of a cycle apart. So cos(phi) becomes
 cos(phi) (1 - r cos 3 phi), a second and a fourth harmonic of r / 2; a template without the fourth leaves a ripple of
-three times a cycle, 0.026 rad at gamma 2.3. A third of its own has only what the channels do not have in common.
+three times per cycle, 0.026 rad at gamma 2.3. A third of its own has only what the channels do not have in common.
 """
 
 import numpy as np
@@ -30,7 +30,7 @@ def known_template(matrix: npt.NDArray[np.floating], light: npt.NDArray[np.compl
     Parameters
     ----------
     matrix : (3, 3)
-        What takes the projector's balanced channels to the template's.
+        Map from the projector's balanced channels to the template's.
     light : (3, N) complex128
         Harmonics from the zeroth on of the projector's light; see `projector_response.light_spectrum`.
     """

@@ -2,7 +2,7 @@
 
 The camera's channel i sees r_i times what a neutral surface would send back, r_i changing slowly. Over a window that
 averages the fringes out (section 3.1 of Je, Lee and Park, Color-phase analysis for sinusoidal structured light in rapid
-range imaging, 2004), with C_i the channel and P_i what a neutral surface would make of it,
+range imaging, 2004), with C_i the channel and P_i that of a neutral surface,
 
     r_i = sum C_i / sum P_i,    gain_i = mean(r) / r_i.
 
@@ -37,7 +37,7 @@ from tikernels.strips import SPREAD, color_of, lanes_of_colors, set_color, strip
 
 # Whoever balances an image alone has chosen its pixels by the mask.
 _ANYTHING_LIT = FrameLevels(white=1.0, read_noise=0.0, noise_gain=0.0, noise=0.0, intensity=TINY, modulation=TINY)
-# Columns of the sums that tell it, a row of the image each; in the last row the first has the contrast itself.
+# Columns of the sums that determine it, one row of the image each; in the last row the first has the contrast itself.
 _MODULATION, _BACKGROUND = range(2)
 _CONTRAST = 0
 # In even light two samples of a column, so many rows apart, have nearly the same phase (`LEAST_CHANGE`).
@@ -65,7 +65,7 @@ class Gains:
     height, width : int
         The image's, stripes along the rows, px.
     period_px : float
-        Camera px a cycle.
+        Camera px per cycle.
     """
 
     def __init__(self, height: int, width: int, period_px: float) -> None:
@@ -99,7 +99,7 @@ class Gains:
         crosstalk : Crosstalk
             The gains belong to a neutral surface's channels, before it is undone.
         levels : FrameLevels
-            Darker pixels, and those with less modulation, say nothing of the colour.
+            Darker pixels, and those with less modulation, show nothing of the colour.
 
         Raises
         ------
@@ -168,7 +168,7 @@ def balancing_gain(seen: vec3, predicted: vec3) -> vec3:
 
 @ti.func
 def shows_fringe(sums: F32Array3, rows: i32, y: i32, j: i32) -> ti.i32:
-    """Whether a pixel's block, whose column is j, has a fringe: it is neither dark nor lit evenly."""
+    """Return whether a pixel's block, whose column is j, has a fringe: it is neither dark nor lit evenly."""
     return sums[y // rows, j, WindowSum.SAMPLES] > 0.0
 
 
@@ -360,13 +360,13 @@ def balance_color(
     image : (H, W, 3) float32
         Linear light at the camera, stripes running along the rows.
     period_px : float
-        Camera px a cycle; sizes the window.
+        Camera px per cycle; sizes the window.
     mask : (H, W) bool or uint8, optional
         Pixels that count; None: all.
     crosstalk_matrix : (3, 3), optional
         camera = matrix @ projector; what the second look needs to predict a channel. None: no crosstalk.
     out : (H, W, 3) float32, optional
-        Where the result goes.
+        Output array.
 
     Returns
     -------

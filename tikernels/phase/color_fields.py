@@ -35,7 +35,7 @@ _ORDERS = ((0, 1, 2), (0, 2, 1))
 
 @dataclass(frozen=True, eq=False)
 class ColorFields:
-    """When a projector's colours are on, and what is known of when exposures start; each pair of both is a hypothesis.
+    """Times at which a projector's colours are on and exposures may start; each pair of both is a hypothesis.
 
     Hypotheses are numbered order by order, and in an order by the exposure's start.
     """

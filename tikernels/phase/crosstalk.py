@@ -74,7 +74,7 @@ def invert_crosstalk(crosstalk_matrix: npt.ArrayLike, *, normalize_rows: bool = 
 
 @dataclass(frozen=True, eq=False)
 class Crosstalk:
-    """How the projector's primaries mix in the camera's channels, on a neutral surface and on coloured ones."""
+    """Mixing of the projector's primaries in the camera's channels, on a neutral surface and on coloured ones."""
 
     matrix: npt.NDArray[np.float32]
     """(3, 3): what a neutral surface sends back = matrix @ projector; each row sums to one."""
@@ -83,13 +83,13 @@ class Crosstalk:
     weights: npt.NDArray[np.float32]
     """(3, 3): takes the balanced channels to b cos(phi), b sin(phi) and the background a; see `phase_weights`."""
     waves: npt.NDArray[np.float32]
-    """(3, 3): what a, b cos(phi) and b sin(phi) make of the channels; see `channel_waves`."""
+    """(3, 3): the channels' weights of a, b cos(phi) and b sin(phi); see `channel_waves`."""
     inverse_waves: npt.NDArray[np.float32]
     """(3, 3): undoes it."""
     lag: npt.NDArray[np.float64] | None
     """(3,) rad, how far the fringe of R, G, B lags behind its place; None: nowhere."""
     surfaces: Surfaces
-    """What the surfaces' colours do to that."""
+    """Effect of the surfaces' colours on that."""
 
     @classmethod
     def of(
@@ -109,7 +109,7 @@ class Crosstalk:
         lag : (3,), optional
             rad; see `channel_delays`.
         surfaces : Surfaces, optional
-            What their colours do beyond what the balance undoes; None: nothing.
+            Effect of their colours beyond what the balance undoes; None: nothing.
 
         Raises
         ------
@@ -140,7 +140,7 @@ def correct_crosstalk(image: F32, crosstalk_matrix: npt.ArrayLike, out: F32 | No
     crosstalk_matrix : (3, 3)
         camera = matrix @ projector.
     out : (H, W, 3) float32, optional
-        Where the result goes.
+        Output array.
 
     Returns
     -------

@@ -5,7 +5,7 @@ Je, Lee and Park 2004). The cumulative distribution, interpolated, is the map th
 constant is set so that the mean correction is zero; otherwise the whole phase would shift with the branch cut.
 
 The assumption fails where few cycles are in view. But a response is the same everywhere, and what a surface shows too
-often is not: histograms of tiles of the image tell the two apart, harmonic by harmonic.
+often is not: histograms of tiles of the image distinguish the two, harmonic by harmonic.
 """
 
 import math
@@ -28,7 +28,7 @@ BINS = 256
 
 
 class MeasuredCorrection(NamedTuple):
-    """What the distribution of a frame's phases says is to be added to them."""
+    """Correction to a frame's phases, determined from their distribution."""
 
     spectrum: npt.NDArray[np.complex128]
     """(bins / 2 + 1,) of the correction at the bins' lower edges, rad."""
@@ -66,8 +66,8 @@ def measure_correction(
     Parameters
     ----------
     histogram : (bins,) or (tiles, bins) numbers
-        How often the wrapped phase fell into each bin of [-pi, pi], in the whole image or in each of its tiles, whose
-        scatter tells the variance.
+        Counts of the wrapped phase in each bin of [-pi, pi], in the whole image or in each of its tiles, whose
+        scatter determines the variance.
     harmonics : int, optional
         Nothing is known of harmonics beyond this one. A fringe of P pixels that runs along the pixel rows shows only P
         phases, which look like a distortion of harmonic P: keep it below P.
@@ -90,7 +90,7 @@ def measure_correction(
 def correction_table(
     histogram: npt.NDArray[np.float64 | np.int64], harmonics: int | None = None
 ) -> npt.NDArray[np.float32]:
-    """Return what to add to a phase, at the edges of the histogram's bins, where only the histogram tells.
+    """Return what to add to a phase, at the edges of the histogram's bins, by the histogram alone.
 
     Parameters
     ----------
@@ -254,9 +254,9 @@ def equalize_phase(
     bins : int
         Bins of the histogram, of which the table is interpolated.
     harmonics : int, optional
-        How many harmonics of the correction are kept; see `correction_table`.
+        Number of harmonics of the correction that are kept; see `correction_table`.
     out : (H, W) float32, optional
-        Where the result goes.
+        Output array.
 
     Returns
     -------

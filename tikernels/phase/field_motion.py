@@ -6,9 +6,9 @@ exposure, in frames (`color_fields.py`). A fit of one phase to that is off by
 
     -v / 3 sum_j tau_j cos(2 phi + 2 d_j),    d_j the channel's delay,
 
-twice a cycle. Where it is not known when an exposure starts, that term in the first fit's phase tells the times apart:
-each hypothesis of `ColorFields` predicts another one, and its likelihood is that of what it leaves. The times that are
-used are the mean over all hypotheses, and their spread is in doubt.
+twice per cycle. Where it is not known when an exposure starts, that term in the first fit's phase distinguishes the
+times: each hypothesis of `ColorFields` predicts another one, and its likelihood is that of what it leaves. The times
+that are used are the mean over all hypotheses, and their spread is the uncertainty.
 
 The image is given the light that a surface at rest would send back, and everything after it sees a frame of one moment:
 
@@ -62,14 +62,14 @@ _SAMPLES = 8
 _ALONG, _ACROSS, _SURE = 0.3, 1.0, 0.9
 # Deviations of this many standard deviations count half: edges and textures are off by more than noise.
 _HALF_SIGMAS = 2.0
-# Times are told apart if less than this part of them is unsure.
-_TOLD = 0.5
+# Times are distinguished if less than this part of them is unsure.
+_DISTINCT = 0.5
 # Phase that motion may leave unnoticed, rad: the noise of good frames.
 _UNNOTICED = 0.01
 
 
 class FieldMotion(NamedTuple):
-    """What moved between a frame's colours."""
+    """Motion between a frame's colours."""
 
     change: npt.NDArray[np.float32]
     """(H, W) rad, what the phase has changed by since the frame before; NaN where it is not known."""
@@ -81,12 +81,12 @@ class FieldMotion(NamedTuple):
     shares: npt.NDArray[np.float64]
     """(hypotheses,) probability of each of `ColorFields`."""
     too_fast: float
-    """Share of the pixels seen in both frames whose change is not told by them, because it is too fast."""
+    """Share of the pixels seen in both frames whose change they do not show, because it is too fast."""
 
     @property
     def unknown(self) -> float:
-        """Share of the pixels that move so much that it shows, while the colours' times are not told apart."""
-        unsure = np.where(self.unsure > _TOLD * self.times.std(axis=-1), self.unsure, 0)
+        """Share of the pixels that move so much that it shows, while the colours' times are not distinguished."""
+        unsure = np.where(self.unsure > _DISTINCT * self.times.std(axis=-1), self.unsure, 0)
         seen = np.count_nonzero(np.abs(np.nan_to_num(self.change)) * unsure > _UNNOTICED)
         return float(seen / max(int(np.count_nonzero(np.isfinite(self.change))), 1))
 
@@ -104,7 +104,7 @@ class FieldMotion(NamedTuple):
 
 
 class RowMotion(NamedTuple):
-    """What moved between a frame's rows."""
+    """Motion between a frame's rows."""
 
     change: npt.NDArray[np.float32]
     """(H, W) rad, what the phase has changed by since the frame before; NaN where it is not known."""
@@ -131,7 +131,7 @@ def measure_rows(unwrapped: F32, before: F32, row: float, period_px: float, *, r
     period_px : float
         Camera px per cycle.
     rows_last : bool
-        Whether the camera's rows are the image's columns.
+        True if the camera's rows are the image's columns.
 
     Raises
     ------
@@ -162,10 +162,10 @@ def _averaged_change(
     share = averaged(known)
     mean = averaged(known * np.cos(step)) + 1j * averaged(known * np.sin(step))
     change = np.angle(mean)
-    told = np.abs(change) < _FASTEST
+    slow = np.abs(change) < _FASTEST
     filled = share > _FILLED
-    change = np.where(told & filled, change, np.nan).astype(np.float32)
-    too_fast = float(share[filled & ~told].sum()) / max(float(share[filled].sum()), TINY)
+    change = np.where(slow & filled, change, np.nan).astype(np.float32)
+    too_fast = float(share[filled & ~slow].sum()) / max(float(share[filled].sum()), TINY)
     return np.asarray(cv2.resize(change, step.shape[::-1], interpolation=cv2.INTER_NEAREST), np.float32), too_fast
 
 
@@ -187,13 +187,13 @@ def measure_motion(
     before : (H, W) float32
         The frame before; NaN where there is none.
     fields : ColorFields
-        When the projector shows its colours.
+        Times of the projector's colours.
     shares : (hypotheses,), optional
-        What the frame before has told of that; None: nothing.
+        Of the frame before; None: not known.
     period_px : float
         Camera px per cycle.
     rows_last : bool
-        Whether the camera's rows are the image's columns.
+        True if the camera's rows are the image's columns.
 
     Raises
     ------
@@ -249,8 +249,8 @@ def _log_likelihood(
         return np.zeros(len(times))
     size = float(np.median(np.abs(deviation[sure]))) / MEDIAN_SIZE
     weight = sure / (1 + (deviation / max(_HALF_SIGMAS * size, TINY)) ** 2)
-    # What motion makes of these two waves; and the waves themselves, the same all over the frame, as a template leaves
-    # them that has the mean motion in it: they are fitted to what each hypothesis leaves.
+    # The effect of motion on these two waves; and the waves themselves, the same all over the frame, as a template
+    # leaves them that has the mean motion in it: they are fitted to what each hypothesis leaves.
     both = np.stack([np.cos(2 * phase), np.sin(2 * phase)])
     waves, delays, shape = np.nan_to_num(change) * both, channel_delays(), times.shape[1:]
     factors = np.stack([-(times @ np.cos(2 * delays)) / 3, times @ np.sin(2 * delays) / 3])
@@ -343,17 +343,17 @@ def hold_still(
     image : (H, W, 3) uint8, uint16 or float32
         Linear light, levels, stripes along the rows.
     fit : FittedPhase
-        What `fit_phase` found, of this image or of what an earlier turn made of it.
+        Of `fit_phase`, of this image or of the result of an earlier pass.
     motion : FieldMotion
         See `measure_motion`.
     model : ChannelModel
-        What it was fitted with.
+        Model of the fit.
     crosstalk : Crosstalk
         The same.
     lags : (3,)
         rad, the phase that the model's template has in it; see `FieldMotion.lags`.
     out : (H, W, 3) float32, optional
-        Where the result goes.
+        Output array.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""What a frame says about itself before it is decoded: the fringe's period, the noise, how bright it is."""
+"""Statistics of a frame before it is decoded: the fringe's period, noise and brightness."""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -13,10 +13,10 @@ from tikernels.launching import kernel
 from tikernels.phase.phase_vector import TINY, color_at, phase_vector
 from tikernels.raw.linearization import LEVEL_TYPES, WHITE_LEVELS
 
-#: Three samples a cycle and a little more is what a camera must see.
+#: Three samples per cycle and a little more is what a camera must see.
 MIN_PERIOD_PX = 4.0
 #: Share of full scale beyond which a channel is clipped. A pixel with two such channels has lost its phase; one alone
-#: bends it by 0.03 rad at the most.
+#: bends it by 0.03 rad at most.
 CLIPPED = 0.998
 #: Columns that are looked at: enough to meet every object that fills a twentieth of the image.
 COLUMNS = 16
@@ -27,7 +27,7 @@ _MIN_SHARE = 0.15
 _LIT = 0.1
 # Groups of equally bright samples that show how the noise grows with the light, and the fewest samples of one.
 _NOISE_GROUPS, _LEAST_GROUP = 8, 200
-# Fourth differences leave out tilted stripes, and pixels two apart what demosaicing makes of their neighbours.
+# Fourth differences leave out tilted stripes, and pixels two apart the effect of demosaicing on their neighbours.
 _DIFFERENCE, _APART_PX = (1, -4, 6, -4, 1), 2
 #: Median of a normal distribution's absolute values, in standard deviations; of their middle fifth the mean is it, too.
 MEDIAN_SIZE = 0.6745
@@ -45,9 +45,9 @@ class _Probe(IntEnum):
 
 @dataclass(frozen=True)
 class FrameStatistics:
-    """What `measure_frame` found; light in 0..1 of full scale."""
+    """Results of `measure_frame`; light in 0..1 of full scale."""
 
-    period_px: float | None  # camera px a cycle across the stripes; None: no fringe stands out
+    period_px: float | None  # camera px per cycle across the stripes; None: no fringe stands out
     noise: tuple[float, float]  # read noise and gain: a channel's variance is read^2 + gain * light
     brightness: float  # 95th percentile of the channels' mean
     modulation: float  # 95th percentile of the fringe's modulation
@@ -65,12 +65,12 @@ class FrameLevels:
     intensity: float  # least mean of the channels of a pixel that counts
     modulation: float  # least modulation of a pixel that counts
     precision: float = 0.0  # least precision of its phase, 1 / rad^2
-    least_telling: float = 0.0  # of one that tells what all have in common, where that is more
+    least_reliable: float = 0.0  # of one that is used for frame-wide quantities, where that is more
 
     @property
-    def telling(self) -> float:
-        """Least modulation of a pixel that tells what all have in common: ambient light bends darker ones."""
-        return max(self.modulation, self.least_telling)
+    def reliable(self) -> float:
+        """Least modulation of a pixel used to estimate frame-wide quantities: ambient light bends darker ones."""
+        return max(self.modulation, self.least_reliable)
 
     @property
     def clipped(self) -> float:
@@ -114,7 +114,7 @@ def measure_frame(image: LevelsImage, white_level: float | None = None) -> Frame
     Returns
     -------
     FrameStatistics
-        The period to a few per cent, the noise's variance at any brightness to some 20 %, 60 % at the worst; of
+        The period to a few per cent, the noise's variance at any brightness to about 20 %, 60 % at the worst; of
         demosaiced light it is a quarter of a raw pixel's.
 
     Raises
@@ -154,8 +154,8 @@ def _noise(
     light = np.round(light, 5)
     # Grouped by the pixel above, whose own noise is another one.
     light, changes = light[:, :-1], changes[:, 1:]
-    telling = (light > _LIT * bright) & (light < CLIPPED)
-    light, changes = light[telling], changes[telling]
+    usable = (light > _LIT * bright) & (light < CLIPPED)
+    light, changes = light[usable], changes[usable]
     levels, variances = [], []
     if not len(light):
         return 0.0, 0.0

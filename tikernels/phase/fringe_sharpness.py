@@ -1,4 +1,4 @@
-"""How sharp the fringe is from place to place, read off the frame: the projector's depth of focus.
+"""Sharpness of the fringe from place to place, measured in the frame: the projector's depth of focus.
 
 A blur of the projector multiplies harmonic n of its light by q^(n^2). The frame's template (`channel_template.py`) has
 the mean of it; where q is exp(x) times that, harmonic n is exp(n^2 x) times the template's. Of that the nodes' A and B
@@ -17,8 +17,8 @@ By chance, and by a code that changes the contrast from cycle to cycle, x differ
 does not. Tiles that differ by r, RMS, keep 1 - (d / r)^2 of it, and nothing below d (W. James and C. Stein, Estimation
 with quadratic loss, Fourth Berkeley Symposium 1, 1961).
 
-What equalises the arctangent is the bend by the second harmonic beside the first, exp(3 x) times the frame's. That the
-mean over the frame stays as it was measured fixes the mean of x.
+What equalises the arctangent is the bend by the second harmonic relative to the first, exp(3 x) times the frame's. That
+the mean over the frame stays as it was measured fixes the mean of x.
 """
 
 from enum import IntEnum
@@ -45,12 +45,12 @@ TILES = 6
 _CYCLES, _AROUND = 2, 1.0
 # Standard error of the model, as a fraction of a sample's light: it keeps x at zero where there are no harmonics.
 _PRIOR = 0.03
-# By how much further a step goes than the samples say.
+# By how much further a step goes than the samples show.
 _STEP = 2.0
 
 
 class _Sum(IntEnum):
-    """Columns of what a block's samples say."""
+    """Columns of the evidence of a block's samples."""
 
     PRODUCT = 0  # the two sums of x
     SQUARE = 1
@@ -92,7 +92,7 @@ def sum_sharpness_kernel(
     out_sums: F32Array3,  # (Hb, Wb, 3)
 ):
     """Sum up, block by block, what the sharpness explains of what brightness and phase leave over."""
-    # Half of the blocks tell enough, as of a chessboard one colour.
+    # Half of the blocks are enough, as one colour of a chessboard.
     for t in range(SPREAD * out_sums.shape[0] * strip_count(out_sums.shape[1], 2 * LANES)):
         if t % SPREAD > 0:
             continue
@@ -140,9 +140,9 @@ class FringeSharpness:
     Parameters
     ----------
     blocks, grid : (int, int)
-        How many blocks and nodes there are; see `BalanceWindow`.
+        Numbers of blocks and nodes; see `BalanceWindow`.
     cycles : (float, float)
-        How many cycles the frame is high and wide.
+        Height and width of the frame, in cycles.
     """
 
     def __init__(self, blocks: tuple[int, int], grid: tuple[int, int], cycles: tuple[float, float]) -> None:
@@ -159,7 +159,7 @@ class FringeSharpness:
     def refine(
         self, samples: F32, phases: F32, correction: F32, template: F32, nodes: F32, rows: int, doubt: float
     ) -> bool:
-        """Go a step on with what the samples say; return whether the rest of the model wants to be fitted again.
+        """Take a step by the samples' evidence; return whether the rest of the model must be fitted again.
 
         Parameters
         ----------

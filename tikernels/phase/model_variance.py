@@ -1,11 +1,11 @@
-"""What the channels' model is wrong by, as a variance of the phase: the fit's misfit tells it.
+"""Error of the channels' model, as a variance of the phase, determined by the fit's misfit.
 
     variance = misfit / precision + error
 
 The mean of the misfit is one where the model is right, and a model that is wrong across the phase is as wrong along it:
 the usual scaling of a fit's variance by its chi square, place by place. Over a few pixels `misfit` is that mean less
 one, where chance does not make it: at an edge of paint, a highlight, a spot of another colour. Over the balance window
-`error` is the mean of (misfit - 1) / precision, as of a surface whose colour acts otherwise than the model says.
+`error` is the mean of (misfit - 1) / precision, as of a surface whose colour acts otherwise than in the model.
 """
 
 from functools import cache
@@ -114,13 +114,13 @@ def model_variance(precision: F32, misfit: F32, mask: U8, period_px: float, out:
     precision : (H, W) float32
         1 / rad^2, one over the variance that the fit found.
     misfit : (H, W) float32
-        What it says of the model; see `FittedPhase`.
+        Misfit of the model; see `FittedPhase`.
     mask : (H, W) uint8
         Valid pixels.
     period_px : float
-        Camera px a cycle.
+        Camera px per cycle.
     out : (H, W) float32, optional
-        Where the result goes.
+        Output array.
 
     Returns
     -------

@@ -13,7 +13,7 @@ from tikernels.phase.wrapped_phase import has_phase
 
 #: The usual change is measured at every eighth pixel both ways.
 SAMPLE = 8
-#: Places in the last row of what `measure_rates` fills: the usual change along and across the stripes, rad a px, and
+#: Places in the last row of what `measure_rates` fills: the usual change along and across the stripes, rad per px, and
 #: the mean quality.
 RATE_ALONG, RATE_ACROSS, MEAN_QUALITY = 0, 1, 2
 #: Light is even where the phase changes across the stripes by less than this share of what is usual. On surfaces, even
@@ -52,15 +52,15 @@ def measure_rates(phase: F32, quality: F32, out: F32 | None = None) -> F32:
     phase : (H, W) float32
         rad; NO_PHASE outside the mask.
     quality : (H, W) float32
-        How sure each pixel is, in any unit, as its modulation.
+        Quality of each pixel, in any unit, as its modulation.
     out : (H / 8 + 1, 5) float32, optional
-        Where the result goes; see `rates_buffer`.
+        Output array; see `rates_buffer`.
 
     Returns
     -------
     (H / 8 + 1, 5) float32
-        In the last row, at RATE_ALONG and RATE_ACROSS, the usual change along and across the stripes, rad a px, and at
-        MEAN_QUALITY the mean quality; the rows before are sums over rows of the image.
+        In the last row, at RATE_ALONG and RATE_ACROSS, the usual change along and across the stripes, rad per px, and
+        at MEAN_QUALITY the mean quality; the rows before are sums over rows of the image.
 
     Raises
     ------

@@ -2,7 +2,7 @@
 
 The arctangent weighs the channels as if all were equally bright, and takes the projector's light for a sinusoid. The
 model of `channel_model.py`, C_i = s A_i t_i(phi) + B_i, knows better, and a step of Gauss and Newton from the
-arctangent's phase weighs the channels by what they say.
+arctangent's phase weighs the channels by their information.
 
 Each channel is divided by the standard deviation of its noise, whose variance is the read noise's and a gain times the
 light; c is then C - B, and of unit variance. With M = A t, its derivative M' by the phase, and W = A (t - 1), by which
@@ -11,8 +11,8 @@ pixel's contrast from its neighbourhood's:
 
     c = s (M + d M' + k W) + noise,    k ~ N(0, K^2), K = contrast_doubt.
 
-Nothing is known of s, so only what stands across M says anything: D = M' - (M' M / M M) M and Q = W - (W M / M M) M,
-and s = c M / M M. The doubtful contrast is noise along Q with the deviation q = s K. The covariance across M is
+Nothing is known of s, so only what is orthogonal to M has information: D = M' - (M' M / M M) M and Q = W - (W M / M M)
+M, and s = c M / M M. The doubtful contrast is noise along Q with the deviation q = s K. The covariance across M is
 therefore 1 + q^2 Q Q^T, whose inverse is 1 - q^2 Q Q^T / v with v = 1 + q^2 Q Q (Sherman and Morrison). Weighted least
 squares with E = v D - q^2 (D Q) Q, that is v times the inverse times D, give
 
@@ -57,14 +57,14 @@ from tikernels.phase.wrapped_phase import NO_PHASE
 from tikernels.raw.linearization import LEVEL_TYPES
 from tikernels.strips import strip_at, strip_count
 
-# The arctangent is never further off than this; a model that says so is wrong there. rad
+# The arctangent is never further off than this; a model that differs more is wrong there. rad
 _MAX_STEP = 0.3
 #: Larger misfits, the squares of what is left over, are not noise.
 MAX_MISFIT = SIGMAS**2
 
 
 class FittedPhase(NamedTuple):
-    """What the fit says of every pixel, (H, W) float32 each."""
+    """Results of the fit at every pixel, (H, W) float32 each."""
 
     phase: F32
     """rad, a little beyond [-pi, pi]; NO_PHASE where a pixel is dark, clipped, or without fringe."""
@@ -306,7 +306,7 @@ def fit_phase(
     model : ChannelModel
         The frame's, fitted.
     crosstalk : Crosstalk
-        What the model and its gains were made with.
+        Crosstalk of the model and its gains.
     levels : FrameLevels
         The frame's noise, and what a pixel needs to have a phase.
     correction : (bins + 1,) float32
@@ -314,7 +314,7 @@ def fit_phase(
     contrast_doubt : float
         Standard deviation of a pixel's contrast about what its neighbourhood shows, as a fraction.
     out : FittedPhase, optional
-        Where the results go.
+        Output arrays.
 
     Raises
     ------

@@ -130,7 +130,7 @@ def channel_delays(lag: npt.NDArray[np.float64] | None = None) -> npt.NDArray[np
     Parameters
     ----------
     lag : (3,), optional
-        How far the fringe of R, G, B lags behind its place, rad: the projector's lateral colour.
+        Lag of the fringe of R, G, B behind its place, rad: the projector's lateral colour.
     """
     return np.asarray(np.array([-1, 0, 1]) * 2 * np.pi / 3 - (0 if lag is None else lag))
 

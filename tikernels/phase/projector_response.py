@@ -1,13 +1,13 @@
-"""What a projector whose light is not proportional to the code does to the phase, where its response is known.
+"""Effect on the phase of a projector whose light is not proportional to the code, where its response is known.
 
 Through a response the sinusoids are no longer sinusoids, and the arctangent's phase deviates from the true one by a
 function of the cycle alone: `response_map` computes it, its inverse undoes it. Gamma 2 makes 0.23 rad
-of it, three times a cycle (S. Zhang and S.-T. Yau, Generic nonsinusoidal phase error correction for three-dimensional
+of it, three times per cycle (S. Zhang and S.-T. Yau, Generic nonsinusoidal phase error correction for three-dimensional
 shape measurement using a digital video projector, Applied Optics 46, 2007, doi:10.1364/AO.46.000036).
 
 A response is measured on plain fields. Lenses, pixels and focus blur the fringe after it: a Gaussian one multiplies
 harmonic n by q^(n^2), so that less of the harmonics is left than the response alone would make. `ResponsePrior` knows
-what is to be expected for every q; how much it is, and what is left beyond, the frame says.
+what is to be expected for every q; how much it is, and what is left beyond, the frame shows.
 """
 
 import numpy as np
@@ -37,7 +37,7 @@ def light_spectrum(
     response : (3, N)
         Light of N evenly spaced codes of R, G, B.
     lag : (3,), optional
-        How far the fringe of R, G, B lags behind its place, rad; see `channel_delays`.
+        Lag of the fringe of R, G, B behind its place, rad; see `channel_delays`.
     contrast : float
         The pattern's, modulation over background; where it is brightest, its code is 1.
     """
@@ -55,7 +55,7 @@ def blurred(spectrum: npt.NDArray[np.complex128], blur: float) -> npt.NDArray[np
 def response_map(
     spectrum: npt.NDArray[np.complex128], lag: npt.NDArray[np.float64] | None = None
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Return phases all around the cycle, and what the arctangent makes of them with this light of the projector.
+    """Return phases all around the cycle, and the arctangent's phases under this light of the projector.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def response_table(
 
 
 class ResponsePrior:
-    """What a known response is expected to do to the phase and to the channels, for every blur.
+    """Expected effect of a known response on the phase and on the channels, for every blur.
 
     Parameters
     ----------
@@ -123,14 +123,14 @@ class ResponsePrior:
         measured : MeasuredCorrection
             Of a frame, see `equalization.measure_correction`.
         period_px : float
-            Camera px a cycle: blur is known in px.
+            Camera px per cycle: blur is known in px.
 
         Returns
         -------
         blur : float
             exp(-blur) is left of the first harmonic.
         misfit : float
-            What speaks against this response, in squares of standard deviations.
+            Misfit of this response, in squares of standard deviations.
         """
         # Lens, pixels and focus together are usually a Gaussian of a pixel, give or take as much in its square.
         usual = 2 * (np.pi / period_px) ** 2
@@ -147,5 +147,5 @@ class ResponsePrior:
         return np.asarray(expected + _VARIANCE / (_VARIANCE + measured.variance) * rest)
 
     def template(self, matrix: npt.NDArray[np.floating], blur: float) -> npt.NDArray[np.float32]:
-        """Return one cycle of the channels that this matrix makes of the light; see `known_template`."""
+        """Return one cycle of the channels under this matrix; see `known_template`."""
         return known_template(matrix, blurred(self._light, blur))

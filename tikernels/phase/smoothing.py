@@ -47,12 +47,12 @@ from tikernels.phase.wrapped_phase import LEAST_NO_PHASE, NO_PHASE, STEP_PHASE, 
 
 # A pair of neighbours counts while each is within a radian of what the usual change leads to, and the surface bends
 # less between them than noise makes it, four standard deviations; or than the least, which round surfaces do within a
-# few px. Beyond the most, some 4 mm on a rig with 0.14 rad a mm, it is a step.
+# few px. Beyond the most, about 4 mm on a rig with 0.14 rad per mm, it is a step.
 _BEND_SIGMAS = 4.0
 _LEAST_BEND, _MAX_BEND = 0.1, 0.6
 _MAX_CHANGE = 1.0
 # A neighbour that departs by more than this from the usual change lies on another surface: 0.8 rad is a depth step of
-# 6 mm on that rig; noise of 0.2 rad a pixel passes.
+# 6 mm on that rig; noise of 0.2 rad per pixel passes.
 MAX_DEPARTURE = 0.8
 # Departures beyond this mean that there is no neighbour: no two phases are that far apart.
 NO_NEIGHBOUR = 0.5 * NO_PHASE
@@ -68,7 +68,7 @@ MAX_SMOOTHING_PX = 15
 
 
 class _Row(IntEnum):
-    """Planes of what smoothing along the rows keeps beside their means."""
+    """Planes that smoothing along the rows keeps in addition to their means."""
 
     BEND = 0  # what the quadric adds to the mean, rad
     MEAN_VARIANCE = 1  # rad^2, of the mean
@@ -138,7 +138,7 @@ def _smooth_rows_kernel(pairs: int, wide: bool) -> Any:
     def smooth_rows_kernel(
         phase: planes(wide),  # (H, W) rad, up to 0.6 beyond +-pi; NO_PHASE outside the mask
         precision: planes(wide),  # (H, W) 1 / rad^2: one over the phase's variance
-        rates: F32Array2,  # last row: RATE_ALONG, RATE_ACROSS ..., rad a px
+        rates: F32Array2,  # last row: RATE_ALONG, RATE_ACROSS ..., rad per px
         out: planes(wide),  # (H, W) rad, the rows' means; NO_PHASE outside the mask, STEP_PHASE between two surfaces
         out_rows: planes(wide, ndim=3),  # (3, H, W) see `_Row`
     ):
@@ -208,7 +208,7 @@ def _smooth_columns_kernel(pairs: int, wraps: bool, wide: bool) -> Any:
         phase: planes(wide),  # (H, W) rad, the rows' means; without whole cycles if it `wraps`
         mask: planes(wide, ti.u8),  # (H, W)
         rows: planes(wide, ndim=3),  # (3, H, W) see `_Row`
-        rates: F32Array2,  # last row: RATE_ALONG, RATE_ACROSS ..., rad a px
+        rates: F32Array2,  # last row: RATE_ALONG, RATE_ACROSS ..., rad per px
         out: planes(wide),  # (H, W) rad; NaN outside the mask
         out_variance: planes(wide),  # (H, W) rad^2
     ):
@@ -300,7 +300,7 @@ def left_of_differences(pairs: int, step: int) -> float:
 class Smoother:
     """Smooths phases of one size: first the rows, and when the whole cycles are known the columns.
 
-    In between the phases may be unwrapped, and corrected by what their order tells, as `modulation_correction.py` does:
+    In between the phases may be unwrapped, and corrected by what their order shows, as `modulation_correction.py` does:
     along the stripes that is the same for all pixels of a window, across them it is not.
 
     Parameters
@@ -326,9 +326,9 @@ class Smoother:
         precision : (H, W) float32
             1 / rad^2, one over the phase's variance; 0 where nothing is known of it.
         rates : (H / 8 + 1, 5) float32
-            What `measure_rates` found of the same phase.
+            Results of `measure_rates` of the same phase.
         out : (H, W) float32, optional
-            Where the result goes; not the input.
+            Output array; not the input.
 
         Returns
         -------
@@ -366,13 +366,13 @@ class Smoother:
         phase : (H, W) float32
             rad, that average with whole cycles.
         mask : (H, W) uint8
-            Where it holds.
+            True where it holds.
         rates : (H / 8 + 1, 5) float32
-            What `measure_rates` found.
+            Results of `measure_rates`.
         out : two (H, W) float32, optional
-            Where the results go; not the input.
+            Output arrays; not the input.
         wraps : bool
-            Whether the phase lacks the whole cycles: rad in [-pi, pi] and a little beyond.
+            True if the phase lacks the whole cycles: rad in [-pi, pi] and a little beyond.
 
         Returns
         -------
@@ -424,7 +424,7 @@ def smooth_phase(wrapped_phase: F32, mask: Mask, smoothing_px: int = 7, *, out: 
     smoothing_px : int
         Odd side of the window, 1 to 15 px.
     out : (H, W) float32, optional
-        Where the result goes; not the input.
+        Output array; not the input.
 
     Returns
     -------

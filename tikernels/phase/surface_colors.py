@@ -45,7 +45,7 @@ def common_colors(ratios: _Array, weights: _Array, least: float) -> _Array:
     ratios : (N, 3)
         See `color_ratios`.
     weights : (N,)
-        How much each counts.
+        Weight of each.
     least : float
         Colours of less weight are given to their neighbours.
 
@@ -59,7 +59,7 @@ def common_colors(ratios: _Array, weights: _Array, least: float) -> _Array:
     rows, columns = np.array([red.max(), blue.max()]) + _APART + 1 - first
     cell = (red - first[0]) * columns + (blue - first[1])
     counts = np.bincount(cell, weights, rows * columns).reshape(rows, columns).astype(np.float32)
-    # Roots, as a small surface is to stand out beside a large one.
+    # Roots, so that a small surface stands out next to a large one.
     smooth = cv2.GaussianBlur(np.sqrt(counts), (0, 0), 1.0)
     peaks = np.argwhere((smooth == cv2.dilate(smooth, np.ones((_APART, _APART)))) & (smooth > 0))
     peaks = peaks[np.argsort(-smooth[tuple(peaks.T)], kind="stable")][: 3 * MOST_COLORS]

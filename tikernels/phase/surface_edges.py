@@ -1,7 +1,7 @@
-"""How far the phase may be off where two surfaces meet.
+"""Possible error of the phase where two surfaces meet.
 
 There a pixel sees both, by the camera's blur, and is decoded as one of them; and where exactly they meet is known to a
-pixel or two. Light of surface a that is decoded as b's turns the phase by what T_b^-1 T_a of `surfaces.py` makes of it.
+pixel or two. Light of surface a that is decoded as b's turns the phase by the effect of T_b^-1 T_a of `surfaces.py`.
 """
 
 import cv2

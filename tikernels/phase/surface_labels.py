@@ -1,8 +1,8 @@
-"""Which surface each place shows: the one whose matrix leaves the least over.
+"""Label each place with the surface that it shows: the one whose matrix leaves the smallest residual.
 
 At some phases two surfaces look alike: misfits (`surface_misfits.py`) are averaged over a few pixels, which keeps edges
 sharp, and over a good part of a cycle. Pixels show what the places of the lattice around them do; they themselves are
-asked only where these differ.
+compared only where these differ.
 """
 
 from typing import NamedTuple
@@ -40,14 +40,14 @@ _Mask = npt.NDArray[np.bool_]
 _BESIDE = 4
 _wide_lanes = ti.types.vector(AT_ONCE + 2 * _BESIDE, ti.f32)
 cell_lanes = ti.types.matrix(CELL_ROWS, AT_ONCE, ti.f32)
-# Gaussians that misfits are averaged over: px across the stripes, and along them where pixels are asked; cycles, and
+# Gaussians that misfits are averaged over: px across the stripes, and along them where pixels are compared; cycles, and
 # how much that one counts.
 _NEAR_PX, _ALONG_PX = 1.6, 2.0
 _AROUND_CYCLES, _AROUND = 0.4, 0.5
 _ALONE = np.ones(1)
 # A place that fits no surface counts no more than this against its neighbourhood.
 _MOST_AROUND = 4.0
-# So far from an edge between two places pixels are asked, px.
+# So far from an edge between two places pixels are compared, px.
 _EDGE_PX = 4
 # By how much better than any other a surface must explain its places, in variances.
 _BETTER = 0.3
@@ -61,12 +61,12 @@ _OPENING_PX, _OPENING_CYCLES = 7, 1.0
 
 
 class Relabelled(NamedTuple):
-    """Which surface each place shows, once misfits have been compared."""
+    """The surface that each place shows, once misfits have been compared."""
 
     labels: _Labels
     """(h, w) new numbers; NO_SURFACE stays."""
     kept: list[int]
-    """Which of the surfaces before have those numbers."""
+    """Previous surfaces that have those numbers."""
     unexplained: _Mask
     """(h, w) places that fit none."""
     around: _Misfits
@@ -89,15 +89,15 @@ def relabel(
     lattice : Lattice
         The places.
     misfits : (N, h, w) float32
-        Squares of residuals, at most `MOST_MISFIT`; -1 where a place says nothing.
+        Squares of residuals, at most `MOST_MISFIT`; -1 where a place has no evidence.
     before : (h, w) uint8
         The surfaces that places are taken to show so far.
     founding : (N,) bool
-        Which ones the frame began with: none that came later takes the place of one.
+        True for those that the frame began with: none that came later takes the place of one.
     alike : (N,) bool
-        Which ones are the same paint as another one: they go.
+        True for those that are the same paint as another one: they go.
     afresh : bool
-        Whether only NO_SURFACE is known of what places showed before.
+        True if only NO_SURFACE is known of what places showed before.
     """
     shown = before != NO_SURFACE
     said = (misfits[0] >= 0) & shown
@@ -169,7 +169,7 @@ def cells_of_pixels(lattice: Lattice, labels: _Labels, size: tuple[int, int]) ->
     lattice : Lattice
         The places.
     labels : (h, w) uint8
-        What these show.
+        Surfaces that these show.
     size : (int, int)
         The image's height and width, px.
     """
@@ -218,13 +218,13 @@ def values_between(values: F32Array3, surface: i32, v: f32, x: i32, columns: i32
 
 @ti.func
 def asks(cells: I32Array2, y: i32, strip: i32, surface: i32) -> u1:
-    """Whether a surface is asked for sixteen places of a row."""
+    """Return whether a surface is compared at sixteen places of a row."""
     return (cells[y // CELL_ROWS, strip] >> surface) & 1 == 1
 
 
 @ti.func
 def row_misfits(misfits: F32Array3, cells: I32Array2, surface: i32, y: i32, strip: i32):
-    """Load a surface's misfits of sixteen pixels and of those beside them; SAYS_NOTHING where it is not asked."""
+    """Load a surface's misfits of sixteen pixels and their neighbours; SAYS_NOTHING where it is not compared."""
     first, last = strip * AT_ONCE, misfits.shape[2] - 1
     before, after = ti.max(strip - 1, 0), ti.min(strip + 1, cells.shape[1] - 1)
     left = _wide_lanes(SAYS_NOTHING)
@@ -271,12 +271,12 @@ def near_misfits(
 def choose_surfaces_kernel(
     misfits: F32Array3,  # (N, H, W) standard deviations of pixels; see `surface_residuals_kernel`
     around: F32Array3,  # (N, h, w) their squares' averages around places of the lattice
-    cells: I32Array2,  # (H / 8 up, W / 16 up) a bit for each surface that is asked
+    cells: I32Array2,  # (H / 8 up, W / 16 up) a bit for each surface that is compared
     near: F32Array1,  # weights of pixels so far across the stripes
     along: F32Array1,  # and along them: _BESIDE + 1
     rows: i32,  # px between places
     columns: i32,
-    labels: U8Array2,  # (H, W) changed where surfaces are asked, unless NO_SURFACE
+    labels: U8Array2,  # (H, W) changed where surfaces are compared, unless NO_SURFACE
 ):
     height, width, strips = labels.shape[0], labels.shape[1], cells.shape[1]
     for t in range(cells.shape[0] * strips):
@@ -333,7 +333,7 @@ def choose_surfaces(
         The labels; NO_SURFACE stays.
     """
     misfits = runtime.empty((len(neutral.unmixing), *(int(n) for n in contrast.shape)), np.float32)
-    # A pixel does not tell what its cycle's contrast is.
+    # A pixel does not show its cycle's contrast.
     even = float(np.hypot(code_doubt, UNEVEN))
     fill_residuals(light, contrast, cells, neutral, levels, 1, even, scatter, misfits)
     near, along = (

@@ -1,4 +1,4 @@
-"""What a surface's colour makes of the crosstalk: a matrix, predicted from the colour and fitted to its pixels.
+"""Effect of a surface's colour on the crosstalk: a matrix, predicted from the colour and fitted to its pixels.
 
 Of M, the crosstalk on white, entry ij belongs to the wavelengths where filter i and primary j meet, and is weighed by
 the reflectance there:
@@ -7,10 +7,10 @@ the reflectance there:
 
 rho_k the reflectance at three primaries, its logarithm linear between them. With the primaries alone (L_ijk = 1 for
 j = k) that is M diag(rho), with the filters alone diag(rho) M; real ones lie between. rho follows from the surface's
-mean colour, three numbers from three, and K is a prior for what its pixels say, which is wrong by more the larger the
-range of log rho is. The light is the same on all surfaces, which are therefore fitted together.
-Behind lasers K = M diag(rho) to 0.1 %; behind lamps and filters that overlap, up to a third of log rho is the filters'.
-Given K, each pixel has two unknowns, brightness and phase, and one number is left over,
+mean colour, three numbers from three, and K is a prior for what its pixels show, which is wrong by more the larger the
+range of log rho is. The light is the same on all surfaces, which are therefore fitted together. Behind lasers K = M
+diag(rho) to 0.1 %; behind lamps and filters that overlap, up to a third of log rho is the filters'. Given K, each pixel
+has two unknowns, brightness and phase, and one number is left over,
 
     z = c n,    n across K p and K p',
 
@@ -48,7 +48,7 @@ def band_weights(wavelengths_nm: npt.ArrayLike) -> _Array:
     Parameters
     ----------
     wavelengths_nm : (3, 3)
-        Where filter i and primary j meet; those of i = j, falling, are where the three reflectances stand.
+        Wavelength where filter i and primary j meet; those of i = j, falling, are those of the three reflectances.
     """
     seen = np.asarray(wavelengths_nm, np.float64)
     knots = np.diag(seen)[::-1]
@@ -74,7 +74,7 @@ _MISFIT, _BRIGHTNESS = 0.002, 0.006
 _SCATTERED, _LOST = 0.3, np.array([1, 1 / 4, 1 / 16])
 #: Twice the logarithm of a Bayes factor that is strong evidence (Kass and Raftery, Bayes factors, 1995).
 PROOF = 6
-# By how much an entry grows at the most, as a fraction of its row.
+# By how much an entry grows at most, as a fraction of its row.
 _MOST = 0.5
 # The brightness' harmonics count where its logarithm is this near to the median, and there are so many places.
 _USUAL_BRIGHTNESS, _LEAST_BRIGHTNESS = 0.5, 30
@@ -91,7 +91,7 @@ def predict_matrices(colors: npt.ArrayLike, matrix: npt.ArrayLike, weights: npt.
     Parameters
     ----------
     colors : (N, 3)
-        What the camera sees of them under equally bright primaries.
+        Colours that the camera sees under equally bright primaries.
     matrix : (3, 3)
         camera = matrix @ projector, on white.
     weights : (3, 3, 3)
@@ -141,7 +141,7 @@ class PredictedMatrices:
 
 @dataclass(frozen=True, eq=False)
 class FittedMatrices:
-    """What the pixels of all surfaces say."""
+    """Matrices fitted to the pixels of all surfaces."""
 
     matrices: _Array
     """(n, 3, 3) K, the sum of each 3."""
@@ -160,9 +160,9 @@ class FittedMatrices:
     """(n,) by how much the channels' fundamentals differ from those predicted, as a fraction; what all three have in
     common is left out."""
     cost: float
-    """What spoke against all of it before the step, in squares of standard deviations."""
+    """Total misfit before the step, in squares of standard deviations."""
     frames: _Array
-    """(n,) how many frames of a video have told it."""
+    """(n,) number of frames of a video that contributed."""
 
     def only(self, surfaces: list[int]) -> "FittedMatrices":
         """Return what was found of some of the surfaces."""
@@ -236,11 +236,11 @@ def fit_matrices(
     light : (3, harmonics) complex128
         Of the projector's light over its mean, from the first on, as far as it is known.
     doubt : LightDoubt
-        How well it is known.
+        Uncertainty of the light.
     before : FittedMatrices, optional
         Of the first of these surfaces, where the fit begins; None: with the prediction.
     fit_light : bool
-        Whether the surfaces tell the light, too; else it stays as it was before.
+        True to fit the light, too; else it stays as it was before.
     """
     count, harmonics, predicted = len(samples.light), light.shape[1], prediction.matrices
     expected, of_paint, of_skin = _priors_of_surfaces(samples, prediction, expected_ambient, ambient, doubt.leak)
@@ -263,7 +263,7 @@ def fit_matrices(
     off, off_shared = expected - own, usual - shared
     cost = found.cost + float((off * _times(of_paint, off)).sum() + off_shared @ prior_shared @ off_shared)
     prior = of_paint
-    if before is not None:  # what a first step mends looks like light that scatters
+    if before is not None:  # what a first step corrects looks like light that scatters
         proof = _evidence(found, of_skin, off) - _evidence(found, of_paint, off) - PROOF
         prior = np.where((proof > 0)[:, None, None], of_skin, of_paint)
         cost -= float(np.maximum(proof, 0).sum())
@@ -406,7 +406,7 @@ def _prior_of_light(light: _Complexes, doubt: LightDoubt) -> _Array:
 
 
 class _Equations(NamedTuple):
-    """How z and the brightness change with all that is fitted: normal equations of every surface."""
+    """Normal equations of every surface: the changes of z and the brightness with all that is fitted."""
 
     gram: _Array  # (n, 12 + harmonics, 12 + harmonics)
     right: _Array  # (n, 12 + harmonics)

@@ -1,7 +1,7 @@
-"""What each surface's matrix leaves over of the light at a place.
+"""Residual light at a place under each surface's matrix.
 
-A pixel's three channels have two unknowns, brightness and phase; what is left under each surface's matrix tells the
-surfaces apart, sharper than any mean colour, which the fringe goes through. With x, y and a the pixel's b cos(phi),
+A pixel's three channels have two unknowns, brightness and phase; the residual under each surface's matrix distinguishes
+the surfaces, more sharply than any mean colour, which the fringe goes through. With x, y and a the pixel's b cos(phi),
 b sin(phi) and background as if its surface were neutral, it is
 
     left = |(x, y)| - a rho,
@@ -38,7 +38,7 @@ REACH_PX = 2
 #: Places that a thread looks at together, as the vector units of a CPU do; and rows of a cell of so many columns.
 AT_ONCE, CELL_ROWS = 16, 8
 place_lanes = ti.types.vector(AT_ONCE, ti.f32)
-#: The light of a place that says nothing, and what is left of it.
+#: The light of a place without evidence, and what is left of it.
 SAYS_NOTHING = -1e9
 #: A place that fits no surface counts no more than this against one.
 MOST_MISFIT = 16.0
@@ -53,7 +53,7 @@ MODEL_ERROR, _AMBIENT_ERROR = 0.01, 0.04
 _PHASES, _PLACES = 256, 1024
 # A code's contrast is the mean around a place, by a Gaussian of this standard deviation, cycles.
 _CODE_CYCLES = 0.3
-# Errors that neighbours share, as JPEG's, are told by means along the stripes over this many cycles.
+# Errors that neighbours share, as JPEG's, are measured by means along the stripes over this many cycles.
 _SHARED_CYCLES = 2.0
 
 
@@ -63,12 +63,12 @@ class Lattice(NamedTuple):
     light: npt.NDArray[np.float32]
     """(h, w, 3) levels, mean over a few pixels along the stripes; see `says`."""
     contrast: npt.NDArray[np.float32]
-    """(h, w) by which blur and the mean multiply the fringe's first harmonic, beside the usual."""
+    """(h, w) by which blur and the mean multiply the fringe's first harmonic, relative to the usual."""
     rows: int
     columns: int
     """px between the places."""
     period_px: float
-    """Camera px a cycle."""
+    """Camera px per cycle."""
 
     @property
     def says(self) -> _Mask:
@@ -77,7 +77,7 @@ class Lattice(NamedTuple):
 
     @property
     def pixels(self) -> int:
-        """How many pixels a place stands for."""
+        """Number of pixels that a place represents."""
         return self.rows * self.columns
 
     def blurred(self, values: npt.NDArray[np.bool_ | np.float32], sigma_px: float) -> npt.NDArray[np.float32]:
@@ -91,7 +91,7 @@ class Lattice(NamedTuple):
 
 
 class NeutralLight(NamedTuple):
-    """What each surface's light is as that of a neutral one."""
+    """Each surface's light, converted to that of a neutral one."""
 
     unmixing: npt.NDArray[np.float32]
     """(N, 3, 3) takes it to b cos(phi), b sin(phi) and a."""
@@ -147,7 +147,7 @@ def average_light_kernel(
     rows: i32,  # px between places
     columns: i32,
     reach: i32,  # px of a mean on either side
-    cells: I32Array2,  # (h / 8 up, w / 16 up) 0: nobody asks
+    cells: I32Array2,  # (h / 8 up, w / 16 up) 0: not needed
     out: F32Array3,  # (h, w, 3) levels; SAYS_NOTHING
     out_contrast: F32Array2,  # (h, w) see `Lattice`
 ):
@@ -202,11 +202,11 @@ def average_light(
     gains : Gains
         That balance it.
     crosstalk : Crosstalk
-        What they were measured with.
+        Crosstalk of the measurement.
     blur : (Hg, Wg) float32
-        What the camera's blur leaves of the contrast around every node of the gains, beside the usual.
+        Contrast that the camera's blur leaves around every node of the gains, relative to the usual.
     unlit : (H, W) bool
-        Which pixels show no fringe: they say nothing.
+        Pixels without a fringe: they have no evidence.
     levels : FrameLevels
         Neither do clipped ones.
     rows, columns : int
@@ -214,7 +214,7 @@ def average_light(
     reach_px : int
         Pixels of a mean on either side.
     cells : int32, optional
-        Which cells of 8 x 16 places are asked, others are undefined; None: all.
+        Cells of 8 x 16 places that are compared, others are undefined; None: all.
     """
     image = checks.read_array("image", image, (gains.height, gains.width, 3), *LEVEL_TYPES)
     size = (-(-gains.height // rows), -(-gains.width // columns))
@@ -242,8 +242,8 @@ def place_around(x: Static, y: Static):
 @kernel(whole_vectors=True)
 def surface_residuals_kernel(
     light: F32Array3,  # (h, w, 3) levels; see `average_light_kernel`
-    contrast: F32Array2,  # (h, w) of the fringe, beside the light's
-    cells: I32Array2,  # (h / 8 up, w / 16 up) a bit for each surface that is asked
+    contrast: F32Array2,  # (h, w) of the fringe, relative to the light's
+    cells: I32Array2,  # (h / 8 up, w / 16 up) a bit for each surface that is compared
     unmixing: F32Array3,  # (N, 3, 3) see `NeutralLight`
     ambient: F32Array2,  # (N, 3) levels
     rho: F32Array2,  # (2, places)
@@ -251,7 +251,7 @@ def surface_residuals_kernel(
     noise_gain: f32,  # levels, of a mean
     even: f32,  # standard deviation of a place's contrast, as a fraction, where blur is the usual
     scatter: f32,  # by how much all of that is more
-    out: F32Array3,  # (N, h, w) standard deviations; SAYS_NOTHING; undefined where a surface is not asked
+    out: F32Array3,  # (N, h, w) standard deviations; SAYS_NOTHING; undefined where a surface is not compared
     by_contrast: F32Array3,  # likewise: how that changes with the contrast, per 1; else (1, 1, 1)
 ):
     height, width = out.shape[1], out.shape[2]
@@ -318,7 +318,7 @@ def surface_residuals(lattice: Lattice, neutral: NeutralLight, levels: FrameLeve
     Returns
     -------
     (N, h, w) float32
-        Standard deviations of independent noise; 0 where a place says nothing.
+        Standard deviations of independent noise; 0 where a place has no evidence.
     """
     size, count = lattice.contrast.shape, len(neutral.unmixing)
     out = np.empty((count, *size), np.float32)

@@ -1,7 +1,7 @@
 """Places of surfaces next to what each surface's matrix predicts of them: what `surface_matrix.py` is fitted to.
 
 In units of noise a place is c = s K p(phi) + z n, n across K p and its derivative by the phase, K p'. A step of Gauss
-and Newton finds the phase; s is told by what lies across K p', so neither s nor z depends on a phase a little off.
+and Newton finds the phase; what lies across K p' determines s, so neither s nor z depends on a phase a little off.
 """
 
 from dataclasses import dataclass
@@ -35,7 +35,7 @@ class SurfaceSamples:
     variance: _Floats  # (n, 3, S) of the noise
     phase: _Floats  # (n, S) rad, where the fit begins
     around: _Floats  # (n, S) mean brightness around, levels
-    contrast: _Floats  # (n, S) of the first harmonic beside the light's, as a factor; the nth has its power of n^2
+    contrast: _Floats  # (n, S) of the first harmonic relative to the light's, as a factor; the nth has its power of n^2
     share: _Array  # (n,) of the S places, how many there are: of a small surface some are listed again
     contrast_doubt: float  # standard deviation of each place's contrast, as a fraction
 

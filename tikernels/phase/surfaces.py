@@ -1,4 +1,4 @@
-"""Which surface each pixel shows, and what each surface's colour does to the channels.
+"""Labels of the surface that each pixel shows, and the effect of each surface's colour on the channels.
 
 Under crosstalk M a neutral surface sends back M p of the projector's light p. A coloured one has a matrix K of its own:
 its reflectance acts where filter and primary meet, before and after the crosstalk at once. With T = K M^-1,
@@ -46,7 +46,7 @@ class Surfaces:
 
     @property
     def mixed(self) -> bool:
-        """Whether there is anything to undo."""
+        """True if there is anything to undo."""
         return len(self.mixing) > 1 or not np.array_equal(self.mixing[0], np.eye(3))
 
 
@@ -59,7 +59,7 @@ def surface_at(labels: U8Array2, y: i32, x: i32) -> i32:
 
 @ti.func
 def shows_surface(labels: U8Array2, y: i32, x: i32) -> u1:
-    """Whether a pixel shows a surface with a fringe."""
+    """Return whether a pixel shows a surface with a fringe."""
     label = labels[ti.min(y, labels.shape[0] - 1), ti.min(x, labels.shape[1] - 1)]
     return ti.cast(label, ti.i32) != NO_SURFACE
 

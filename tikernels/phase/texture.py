@@ -21,7 +21,7 @@ from tikernels.strips import STRIP, strip_at, strip_count
 
 #: What 255 stands for, in units of full scale: under white all primaries reach a channel, under a fringe hardly more
 #: than one, so that what leaks, up to a third of it, would be beyond full scale; and a channel that the fringe clips by
-#: a tenth is told by the two others.
+#: a tenth follows from the two others.
 BRIGHTEST = 1.5
 # Places of the table that encodes: from one to the next are 0.1 levels.
 _ROOTS = 4096
@@ -76,9 +76,9 @@ def measure_texture(light: FrameLight, phase: F32, mask: Mask, period_px: float,
     mask : (H, W) bool or uint8
         Valid pixels.
     period_px : float
-        Camera px a cycle.
+        Camera px per cycle.
     out : (H, W, 3) uint8, optional
-        Where the result goes.
+        Output array.
 
     Returns
     -------

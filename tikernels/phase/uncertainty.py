@@ -1,19 +1,19 @@
-"""How sure the phase of each pixel is: what the fit says, checked against what rows really differ by.
+"""Uncertainty of each pixel's phase: the fit's own, checked against the actual differences between rows.
 
     sigma^2 = scatter^2 (smoothed + own / precision) + model + edge^2 empty
 
-One over the fit's precision (`phase_fit.py`) is the variance of a pixel's phase. What smoothing makes of it
-(`smoothing.py`) is for noise; the channels' model's own error, which neighbours share, stays. What that model is wrong
-by the fit's misfit tells (`model_variance.py`), and edges between surfaces add to it (`surface_edges.py`). What is
-wrong in the same way as brightness or phase does not show. Smoothing leaves all of that.
+One over the fit's precision (`phase_fit.py`) is the variance of a pixel's phase. The effect of smoothing on it
+(`smoothing.py`) is for noise; the channels' model's own error, which neighbours share, stays. That error follows from
+the fit's misfit (`model_variance.py`), and edges between surfaces add to it (`surface_edges.py`). What is wrong in the
+same way as brightness or phase does not show. Smoothing leaves all of that.
 
 Whatever else differs from row to row, such as ripple that balance and crosstalk leave, shows in the scatter: third
 differences over four rows a third of a cycle apart, which leave a surface's bend out, in units of what the law of
 propagation expects of them (JCGM 100:2008, 5.1.2, doi:10.59161/JCGM100-2008E). At a third of a cycle, ripple of once or
-twice a cycle counts sqrt(27 / 20) as much as noise, and that of three times a cycle not at all; at a quarter, that of
-twice a cycle counts 1.8 times. Their median tells it, where noise is most of what is expected: a model is wrong in the
-same way over many rows, which then scatter less than they are off.
-Near an edge of the mask part of the balance window is empty.
+twice per cycle counts sqrt(27 / 20) as much as noise, and that of three times per cycle not at all; at a quarter, that
+of twice per cycle counts 1.8 times. Their median shows it, where noise is most of what is expected: a model is wrong in
+the same way over many rows, which then scatter less than they are off. Near an edge of the mask part of the balance
+window is empty.
 """
 
 from functools import cache
@@ -137,11 +137,11 @@ def phase_sigma(
     mask : (H, W) uint8
         Valid pixels.
     empty : (H, W) float32
-        Which part of the window that the channels' model is fitted to is off the mask, 0..1.
+        Part of the window that the channels' model is fitted to that is off the mask, 0..1.
     scatter : float
-        How far rows really differ, in units of what is expected.
+        Actual difference of rows, in units of what is expected.
     out : (H, W) float32, optional
-        Where the result goes.
+        Output array.
 
     Returns
     -------
@@ -194,11 +194,11 @@ def compare_rows(
     mask : (H, W) uint8
         Valid pixels.
     independent : float
-        What smoothing leaves of the variance of the differences, over what it would leave if the rows were independent.
+        Variance of the differences that smoothing leaves, over what it would leave if the rows were independent.
     step, every : int
         px between the rows that are compared, and between the columns that are looked at.
     out : (H - 3 step, ceil(W / every)) float32, optional
-        Where the result goes.
+        Output array.
 
     Returns
     -------
@@ -242,11 +242,11 @@ def estimate_phase_sigma(
     unwrapped : (H, W) float32
         rad; NaN off the mask.
     precision : (H, W) float32
-        1 / rad^2, what the fit says of the phase before smoothing.
+        1 / rad^2, the fit's, of the phase before smoothing.
     smoothed : (H, W) float32
         rad^2, the variance that noise leaves after smoothing; see `Smoother`.
     misfit : (H, W) float32, optional
-        What it says of the model, see `FittedPhase`; None: the model is right.
+        Misfit of the model, see `FittedPhase`; None: the model is right.
     mask : (H, W) bool or uint8
         Valid pixels.
     edges : (H, W) float32, optional
@@ -254,7 +254,7 @@ def estimate_phase_sigma(
     pairs : int
         Neighbours on either side that the smoothing fitted.
     period_px : float
-        Camera px a cycle.
+        Camera px per cycle.
 
     Returns
     -------
@@ -282,7 +282,7 @@ def estimate_phase_sigma(
 def _scatter(
     unwrapped: F32, precision: F32, model: F32, smoothed: F32, mask: U8, pairs: int, period_px: float
 ) -> float:
-    """Return how far rows a third of a cycle apart differ, in units of what is expected; 1 where none tells."""
+    """Return how far rows a third of a cycle apart differ, in units of what is expected; 1 without evidence."""
     step, every = max(2, round(period_px / 3)), 2 * block_rows(period_px)
     if int(mask.shape[0]) <= (len(THIRD_DIFFERENCE) - 1) * step:
         return 1.0

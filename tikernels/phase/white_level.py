@@ -1,4 +1,4 @@
-"""What a channel shows under the projector's white, by one cycle of it under the fringe.
+"""A channel's level under the projector's white, from one cycle of it under the fringe.
 
 A fringe is brightest where the pattern's code is one, which is the projector's white. With the crosstalk undone, one
 cycle of primary j is p_j = 1 + its harmonics, and its peak P_j is by how much white is brighter than the mean over a
@@ -23,7 +23,7 @@ def primary_cycles(template: npt.NDArray[np.float32], crosstalk: Crosstalk) -> n
     template : (3, terms) float32
         One cycle of the channels of a neutral surface; see `channel_template.py`.
     crosstalk : Crosstalk
-        What makes them of the primaries.
+        Crosstalk from the primaries to them.
     """
     n = np.arange(1, HARMONICS + 1)
     harmonics = crosstalk.inverse.astype(np.float64) @ channel_harmonics(template)
@@ -40,7 +40,7 @@ def white_level(template: npt.NDArray[np.float32], crosstalk: Crosstalk) -> npt.
     template : (3, terms) float32
         One cycle of those channels.
     crosstalk : Crosstalk
-        What makes them of the primaries.
+        Crosstalk from the primaries to them.
 
     Returns
     -------

@@ -1,8 +1,8 @@
-"""What a pixel would show under the projector's white, given what it shows under the fringe.
+"""A pixel's light under the projector's white, computed from its light under the fringe.
 
-The channels' model (`channel_model.py`) says C_i = s A_i t_i(phi) + B_i, or T of that where a surface has a crosstalk
-of its own (`surfaces.py`). Around the smoothed phase the model of a pixel is linear in its brightness s, a step d of
-the phase and a deviation k of its contrast, and three channels tell three numbers:
+The channels' model (`channel_model.py`) is C_i = s A_i t_i(phi) + B_i, or T of that where a surface has a crosstalk of
+its own (`surfaces.py`). Around the smoothed phase the model of a pixel is linear in its brightness s, a step d of the
+phase and a deviation k of its contrast, and three channels determine three numbers:
 
     c = C - B = s (M + d M' + k W),    M = A t, W = A (t - 1),    s = c.(W x M') / M.(W x M').
 
@@ -12,11 +12,11 @@ lens', and is averaged over a part of a cycle. With the template's peak P of `wh
     white_i = s A_i (P_i + k (P_i - 1)) + B_i,    kappa = s (1 + k) / (s + B / A).
 
 Ambient light is in it: under a code, the window of A and B holds but a few cycles, and what B has of their contrast
-cannot be told from it. kappa is the contrast of the fringe beside the template's. A pixel with a clipped channel has a
-phase that is a little off, and two channels that are dark: it takes s, RMS, from those within the window of k; where
-there are none, its two other channels tell s, with d = 0.
+cannot be separated from it. kappa is the contrast of the fringe relative to the template's. A pixel with a clipped
+channel has a phase that is a little off, and two channels that are dark: it takes s, RMS, from those within the window
+of k; where there are none, its two other channels determine s, with d = 0.
 
-The colour of that light is A's, smooth over about a cycle, but for edges between surfaces that the frame tells apart;
+The colour of that light is A's, smooth over about a cycle, but for edges between surfaces that the frame distinguishes;
 its brightness is every pixel's own. What of that still follows the fringe `brightness_ripple.py` finds.
 """
 
@@ -55,7 +55,7 @@ _LOWEST, _HIGHEST = 0.5, 1.5
 
 @dataclass(frozen=True, eq=False)
 class FrameLight:
-    """What a decoded frame keeps of its light, stripes along the rows."""
+    """Light kept of a decoded frame, stripes along the rows."""
 
     image: LevelsImage
     """(H, W, 3) linear light, levels."""
@@ -72,11 +72,11 @@ class FrameLight:
     template: npt.NDArray[np.float32]
     """(3, terms) t."""
     crosstalk: Crosstalk
-    """What the model was made with."""
+    """Crosstalk of the model."""
     neutral: npt.NDArray[np.float32]
     """(3,) what a white surface shows under the projector's white, over the channels' mean; ones: not known."""
     coded: bool
-    """Whether the pattern's contrast changes from cycle to cycle."""
+    """True if the pattern's contrast changes from cycle to cycle."""
 
 
 @ti.func
@@ -233,7 +233,7 @@ def light_by_white(light: FrameLight, phase: F32, mask: Mask, period_px: float) 
     mask : (H, W) bool or uint8
         Valid pixels.
     period_px : float
-        Camera px a cycle.
+        Camera px per cycle.
 
     Returns
     -------
@@ -242,7 +242,7 @@ def light_by_white(light: FrameLight, phase: F32, mask: Mask, period_px: float) 
     (H, W) float32
         The sum of the channels.
     (H, W) float32
-        The logarithm of the fringe's contrast beside the template's.
+        The logarithm of the fringe's contrast relative to the template's.
 
     Raises
     ------

@@ -18,13 +18,13 @@ NO_PHASE = 100.0
 #: The same, for a pixel that saw two surfaces at once.
 STEP_PHASE = 2.0 * NO_PHASE
 #: Values of a buffer (rad) are no phase beyond the first of these, and STEP_PHASE beyond the second. Each is half-way
-#: between what it tells apart, so that rounding decides nothing.
+#: between what it separates, so that rounding decides nothing.
 LEAST_NO_PHASE, LEAST_STEP_PHASE = 0.5 * NO_PHASE, 0.5 * (NO_PHASE + STEP_PHASE)
 
 
 @ti.func
 def has_phase(phase: f32) -> u1:
-    """Whether this is a phase, and neither NO_PHASE nor STEP_PHASE."""
+    """Return whether this is a phase, and neither NO_PHASE nor STEP_PHASE."""
     return phase < LEAST_NO_PHASE
 
 
@@ -77,7 +77,7 @@ def compute_wrapped_phase(image: F32, out: tuple[F32, F32, F32] | None = None) -
     image : (H, W, 3) float32
         R, G, B in linear light, balanced and without crosstalk.
     out : three (H, W) float32, optional
-        Where the results go.
+        Output arrays.
 
     Returns
     -------

@@ -1,7 +1,7 @@
 """Turn luma and subsampled chroma into RGB without losing the fringe, which is in the chroma.
 
-A chroma sample is the mean over the pixels about its site, as many as it stands for: of two, at a period of p px,
-that takes 1 - cos(pi / p) of the chroma's modulation (3.4 % at 12 px) and none of the luma's. A straight line between
+A chroma sample is the mean over the pixels about its site, as many as it represents: of two, at a period of p px, that
+takes 1 - cos(pi / p) of the chroma's modulation (3.4 % at 12 px) and none of the luma's. A straight line between
 samples takes three times as much again, and differently from row to row; repeating them, as libraries do for speed,
 costs 0.26 rad. So each pixel takes the value of the polynomial whose means at the nearest six samples (five on a
 sample's own site) are those samples: Lagrange's interpolation, for means instead of points.
@@ -38,7 +38,7 @@ def chroma_taps(subsampling: int, site: float) -> Taps:
     subsampling : int
         Pixels per sample.
     site : float
-        Where a sample sits: 0, on its first pixel, to 1, on its last.
+        Place of a sample: 0, on its first pixel, to 1, on its last.
     """
     if subsampling == 1:
         return ((0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0),)
@@ -152,9 +152,9 @@ def convert_chroma(planes: tuple[Plane, ...], format: PixelFormat, out: F32 | No
     planes : (H, W) and two (H', W')
         Luma and chroma as stored, see `PixelFormat`; rows may be padded.
     format : PixelFormat
-        How; its layout is "yuv".
+        Storage format; its layout is "yuv".
     out : (H, W, 3) float32, optional
-        Where the result goes.
+        Output array.
 
     Returns
     -------
@@ -166,7 +166,7 @@ def convert_chroma(planes: tuple[Plane, ...], format: PixelFormat, out: F32 | No
     Raises
     ------
     ShapeError
-        A plane has another shape or type than the format says, or `out` cannot be written.
+        A plane has another shape or type than the format specifies, or `out` cannot be written.
 
     Examples
     --------

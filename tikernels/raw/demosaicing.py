@@ -2,7 +2,7 @@
 
 Every row of a mosaic holds green and one of red and blue, a pixel each in turn. Along the stripes the two are
 interpolated on a straight line. The third colour is only in the rows above and below: there Lagrange's polynomial goes
-through eight of them, because the mean of two takes 13 % of the modulation at 12 px a cycle from every second row.
+through eight of them, because the mean of two takes 13 % of the modulation at 12 px per cycle from every second row.
 Methods for photographs assume that colours change together (Malvar, He and Cutler, 2004); here they are 120 degrees
 apart. `docs/footage.md` compares.
 """
@@ -100,11 +100,11 @@ def demosaic(mosaic: Plane, format: PixelFormat, stripes: str = "horizontal", ou
     mosaic : (H, W) uint8 or uint16
         Levels, as stored.
     format : PixelFormat
-        How; its layout is "bayer".
+        Storage format; its layout is "bayer".
     stripes : {"horizontal", "vertical"}
-        Which way the fringe runs.
+        Direction of the fringe.
     out : (H, W, 3) float32, optional
-        Where the result goes.
+        Output array.
 
     Returns
     -------
@@ -114,8 +114,8 @@ def demosaic(mosaic: Plane, format: PixelFormat, stripes: str = "horizontal", ou
     Raises
     ------
     ShapeError
-        The mosaic has another shape or type than the format says or fewer than 8x8 pixels, the stripes run otherwise,
-        or `out` cannot be written.
+        The mosaic has another shape or type than the format specifies or fewer than 8x8 pixels, the stripes run
+        otherwise, or `out` cannot be written.
 
     References
     ----------

@@ -58,11 +58,11 @@ def develop(
     planes : tuple of arrays
         As stored, see `PixelFormat`; rows may be padded.
     format : PixelFormat
-        How.
+        Storage format.
     stripes : {"horizontal", "vertical"}
-        Which way the fringe runs; a mosaic's missing colours are taken from along it.
+        Direction of the fringe; a mosaic's missing colours are taken from along it.
     out : (H, W, 3) of `format.rgb_dtype`, optional
-        Where the result goes, unless it needs no computing.
+        Output array, unless it needs no computing.
 
     Returns
     -------
@@ -73,7 +73,7 @@ def develop(
     Raises
     ------
     ShapeError
-        A plane has another shape or type than the format says, or `out` cannot be written.
+        A plane has another shape or type than the format specifies, or `out` cannot be written.
     """
     n_planes = {"rgb": (1, 3), "bayer": (1,), "yuv": (3,)}[format.layout]
     if len(planes) not in n_planes:

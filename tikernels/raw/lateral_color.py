@@ -1,6 +1,6 @@
 """Bring the colours of a frame onto each other: undo the lateral colour of the camera's lens.
 
-A lens that refracts red and blue differently shows them beside their places; at 12 px a cycle half a pixel of it is
+A lens that refracts red and blue differently shifts them from their places; at 12 px per cycle half a pixel of it is
 0.14 rad of ripple. Each channel is read at its place by cubic Lagrange interpolation, right to 0.2 % on such a fringe.
 """
 
@@ -30,7 +30,7 @@ def cubic_weights(fraction: f32) -> vec4:
 @kernel
 def align_channels_kernel(
     image: AnyArray3,  # (H, W, 3) levels
-    shift_px: F32Array2,  # (3, 2) x, y by which each channel lands beside its place
+    shift_px: F32Array2,  # (3, 2) x, y by which each channel is shifted from its place
     out: F32Array3,  # (H, W, 3) levels
 ):
     height, width = image.shape[0], image.shape[1]
@@ -60,9 +60,9 @@ def align_channels(image: LevelsImage, shift_px: npt.ArrayLike, out: F32 | None 
     image : (H, W, 3) uint8, uint16 or float32
         Levels.
     shift_px : (3, 2)
-        Where R, G and B land, (x, y) in px from their places.
+        Shift of R, G and B from their places, (x, y) in px.
     out : (H, W, 3) float32, optional
-        Where the result goes.
+        Output array.
 
     Returns
     -------

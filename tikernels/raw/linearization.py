@@ -128,13 +128,13 @@ def linearize(
     image : (H, W, 3) uint8, uint16 or float32
         Encoded levels from 0 to the white level.
     transfer : {"linear", "srgb", "bt709"} or (N,) floats
-        How the camera encoded light; or the linear light of N evenly spaced levels.
+        Encoding of the camera's light; or the linear light of N evenly spaced levels.
     white_level : float, optional
         Full scale; None: the type's (255, 65535, 1.0).
     full_scale : float
         The light that the white level becomes.
     out : (H, W, 3) float32, optional
-        Where the result goes.
+        Output array.
 
     Returns
     -------

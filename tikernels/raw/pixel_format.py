@@ -1,4 +1,4 @@
-"""How a frame's pixels are stored, in the words of cameras and codecs."""
+"""Storage formats of a frame's pixels, in the words of cameras and codecs."""
 
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
@@ -11,7 +11,7 @@ Layout = Literal["rgb", "bayer", "yuv"]
 Bayer = Literal["rggb", "bggr", "grbg", "gbrg"]
 Siting = Literal["left", "centre", "top-left", "top", "bottom-left", "bottom", "right", "top-right", "bottom-right"]
 Matrix = Literal["bt601", "bt709", "bt2020"]
-#: np.uint8, np.uint16 or np.float32: which, no type checker can tell.
+#: np.uint8, np.uint16 or np.float32: type checkers cannot determine which.
 LevelType: TypeAlias = type[Any]
 
 BAYER_PATTERNS: tuple[Bayer, ...] = ("rggb", "bggr", "grbg", "gbrg")
@@ -33,13 +33,13 @@ LUMA_WEIGHTS: dict[Matrix, tuple[float, float]] = {
     "bt709": (0.2126, 0.0722),
     "bt2020": (0.2627, 0.0593),
 }
-#: Bits that stand for float32 levels from 0 to 1.
+#: Bits that denote float32 levels from 0 to 1.
 FLOAT_BITS = 32
 
 
 @dataclass(frozen=True)
 class PixelFormat:
-    """How a frame's planes are stored.
+    """Storage format of a frame's planes.
 
     Planes are uint8 up to 8 bits, uint16 above, and float32 with 32 bits.
 
@@ -51,22 +51,22 @@ class PixelFormat:
     bits : int
         8 to 16, or 32 for floats: full scale is 2 ** bits - 1, or 1.
     shift : int
-        How far the bits are shifted up (P010: 10 bits, shifted by 6).
+        Number of bits by which values are shifted up (P010: 10 bits, shifted by 6).
     channels : str
-        What an "rgb" plane's channels, or its planes, hold: of r, g, b and 0 (unused).
+        Contents of an "rgb" plane's channels, or of its planes: of r, g, b and 0 (unused).
     bayer : {"rggb", "bggr", "grbg", "gbrg"}
         The first two pixels of the first two rows.
     subsampling : (x, y)
         Pixels per chroma sample, 1, 2 or 4 along each axis.
     origin : (x, y)
-        How many pixels of the first chroma samples are missing, left and above: of a picture of an odd size that was
+        Number of pixels missing from the first chroma samples, left and above: of a picture of an odd size that was
         turned, one.
     siting : str
-        Where a chroma sample sits among its pixels, see `SITES`: "left" is the middle of the left column.
+        Place of a chroma sample among its pixels, see `SITES`: "left" is the middle of the left column.
     matrix : {"bt601", "bt709", "bt2020"}
-        How luma was made of R, G, B.
+        Matrix by which luma was made of R, G, B.
     full_range : bool
-        Whether luma uses every level, or 16 to 235 of 255.
+        True if luma uses every level, False if 16 to 235 of 255.
 
     Examples
     --------
@@ -126,7 +126,7 @@ class PixelFormat:
 
     @property
     def rgb_dtype(self) -> LevelType:
-        """What `develop` makes of it: RGB of 8, 16 or 32 bits stays what it is, everything else becomes float32."""
+        """Type that `develop` returns: that of RGB of 8, 16 or 32 bits; float32 of everything else."""
         return self.dtype if self.layout == "rgb" and self.white_level in (255, 65535, 1) else np.float32
 
     def plane_shapes(self, height: int, width: int) -> tuple[tuple[int, ...], ...]:

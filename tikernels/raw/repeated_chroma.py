@@ -33,7 +33,7 @@ _Changes = npt.NDArray[np.float32]
 
 @dataclass(frozen=True)
 class RepeatedChroma:
-    """How chroma is repeated in an RGB frame."""
+    """Repetition of chroma in an RGB frame."""
 
     pixels: tuple[int, int]  # across and down, 1 or 2: for how many each sample is used
     origin: tuple[int, int]  # see `PixelFormat`

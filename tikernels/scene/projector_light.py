@@ -1,6 +1,6 @@
-"""What the projector of a simulated rig sends where: its lens, its pixels, and the light between them.
+"""Light that a simulated rig's projector sends to each place: its lens, its pixels, and the light between them.
 
-Kernels take its optics as 31 numbers: those of `pack_lens`; fx, fy, cx, cy (px); and by how much R, G and B land beside
+Kernels take its optics as 31 numbers: those of `pack_lens`; fx, fy, cx, cy (px); and the offset of R, G and B from
 their places (x and y of each, px).
 """
 
@@ -32,7 +32,7 @@ def light_at(light: F32Array3, pixel: vec2, optics: F32Array1) -> vec3:
 def interpolation_weights(fraction: f32) -> vec8:
     """Weights of eight Lagrange taps, -3..4 around the sample.
 
-    Exact on polynomials of degree 7: on a sinusoid of 17 px a cycle the error is 3e-7, where cubic convolution leaves
+    Exact on polynomials of degree 7: on a sinusoid of 17 px per cycle the error is 3e-7, where cubic convolution leaves
     0.012 rad of phase.
     """
     weights = vec8(1.0)

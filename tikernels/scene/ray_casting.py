@@ -1,6 +1,6 @@
-"""Where a ray meets a scene, which way the surface faces there, and whether something shades it.
+"""Intersect rays with a scene; find the surface's normal there, and whether something shades it.
 
-Rays go on by the distance to the nearest surface until there is none left (J. C. Hart, Sphere tracing, The Visual
+Rays advance by the distance to the nearest surface until there is none left (J. C. Hart, Sphere tracing, The Visual
 Computer 12, 1996, doi:10.1007/s003710050084).
 """
 
@@ -48,7 +48,7 @@ def ray_casting(scene: str) -> tuple[Any, Any, Any]:
 
     @ti.func
     def shadowed(p: vec3, direction: vec3, pose: vec4) -> i32:
-        """Whether something stands between a point and the projector."""
+        """Return whether something is between a point and the projector."""
         hidden = 0
         travelled = _SHADOW_START_MM
         while hidden == 0 and p.z + travelled * direction.z > NEAR_MM:

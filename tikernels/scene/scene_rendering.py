@@ -73,7 +73,7 @@ def write_truth(
 
 @ti.func
 def inside_frame(pixel: vec2, light: F32Array3) -> i32:
-    """Whether the projector has a pixel there."""
+    """Return whether the projector has a pixel there."""
     across = pixel.x >= -0.5 and pixel.x <= light.shape[1] - 0.5
     return across and pixel.y >= -0.5 and pixel.y <= light.shape[0] - 0.5
 
@@ -227,12 +227,12 @@ def render_scene(
     falloff_mm : float
         Distance at which the projector's light counts one.
     object_motion_mm, object_turn_deg : 3 floats, float
-        How far the objects, but not the wall behind them, have moved, and turned about an upright axis.
+        Distance by which the objects, but not the wall behind them, have moved, and angle about an upright axis.
     field_motion_mm : 3 floats
-        How far the objects move from one of the projector's colour fields to the next; zeros for a projector that shows
+        Motion of the objects from one of the projector's colour fields to the next; zeros for a projector that shows
         all three at once. The truth is that of the first field.
     narrow_band : bool
-        Whether the reflectance acts on the projector's primaries, before the crosstalk, or on the camera's channels.
+        True if the reflectance acts on the projector's primaries, before the crosstalk, or on the camera's channels.
 
     Returns
     -------

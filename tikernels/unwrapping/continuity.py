@@ -1,4 +1,4 @@
-"""Whether a surface goes on from one pixel to the next, and how much a pixel's vote on that weighs.
+"""Continuity of a surface from one pixel to the next, and the weight of a pixel's vote on it.
 
 Along and across the stripes the phase usually changes by the frame's rates. A neighbour whose difference departs from
 the rate, whole cycles apart, by more than `MAX_DEPARTURE` lies on another surface; one that departs by little, and is
@@ -12,14 +12,15 @@ from tikernels.phase.smoothing import MAX_DEPARTURE
 
 # Inside a patch neighbours depart by less than this (rad) and differ in modulation by less than this factor, along and
 # across the stripes. A step that hides behind whole cycles seldom does both, and only patches are never cut again.
-# Across, slopes change the phase more, and a response that is not linear lets the modulation swing three times a cycle.
+# Across, slopes change the phase more, and a response that is not linear lets the modulation swing three times per
+# cycle.
 _SURE_ALONG, _ALIKE_ALONG = 0.25, 0.75
 _SURE_ACROSS, _ALIKE_ACROSS = 0.5, 0.5
 
 
 @ti.func
 def frame_rates(rates: F32Array2):
-    """Return the usual changes along and across the stripes, rad a px, and the mean quality."""
+    """Return the usual changes along and across the stripes, rad per px, and the mean quality."""
     last = rates.shape[0] - 1
     return rates[last, RATE_ALONG], rates[last, RATE_ACROSS], rates[last, MEAN_QUALITY]
 
@@ -38,7 +39,7 @@ def cycles_and_departure(difference: f32, rate: f32):
 
 @ti.func
 def surely_along(departs: f32, quality: f32, quality2: f32) -> u1:
-    """Whether a pixel surely goes on where the one before it in the row ends."""
+    """Return whether a pixel surely continues the one before it in the row."""
     low, high = ti.min(quality, quality2), ti.max(quality, quality2)
     differ = low < _ALIKE_ALONG * high  # false where the quality is missing
     return (departs <= _SURE_ALONG) & (not differ)
@@ -46,7 +47,7 @@ def surely_along(departs: f32, quality: f32, quality2: f32) -> u1:
 
 @ti.func
 def surely_across(departs: f32, quality: f32, quality2: f32) -> u1:
-    """Whether a pixel surely goes on where the one above it ends."""
+    """Return whether a pixel surely continues the one above it."""
     low, high = ti.min(quality, quality2), ti.max(quality, quality2)
     return (departs <= _SURE_ACROSS) & (low > _ALIKE_ACROSS * high)
 

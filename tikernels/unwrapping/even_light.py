@@ -38,7 +38,7 @@ def patches_of_even_light(changes: npt.NDArray[np.float32], cells: I32, count: i
     cells : (3, cells + 1) int32
         See `Cell`; numbered.
     count : int
-        How many patches there are.
+        Number of patches.
     """
     even = changes < LEAST_CHANGE
     if not even.any():

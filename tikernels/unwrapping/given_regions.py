@@ -40,7 +40,7 @@ _SPAN_BITS = 16
 
 
 class UserUnwrapper(Protocol):
-    """What a user's own unwrapper must have.
+    """Interface of a user's own unwrapper.
 
     Examples
     --------
@@ -97,7 +97,7 @@ class _Contacts(NamedTuple):
 class GivenRegions:
     """Patches from a user's unwrapper.
 
-    As everywhere, regions of fewer than 128 px, pixels beside steps and cells whose borders contradict their
+    As everywhere, regions of fewer than 128 px, pixels next to steps and cells whose borders contradict their
     neighbours' are left out of what is written, and the user's constant of each region is not kept. So regions should
     end where the surface does: where the phase goes on from one into another, the cells between them are left out.
 
@@ -126,7 +126,7 @@ class GivenRegions:
         quality : (H, W) float32
             Larger is better; the modulation.
         drafts : Drafts
-            Where patches and contacts are written.
+            Buffers of patches and contacts.
         """
         marked, seen = runtime.to_host(phase), runtime.to_host(quality)  # synchronises
         valid = marked < LEAST_NO_PHASE

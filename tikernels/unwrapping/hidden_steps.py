@@ -26,13 +26,13 @@ from tikernels.unwrapping.tables import (
 #: that crosses the border shows two or three.
 MIN_SEAM_PX = 6
 # Where brightness changes by more than this factor over so many px across a cell's border (an edge is as wide as blur),
-# and by more than over as many beside them, as shading does not, the surface ends there, and hides no step.
+# and by more than over as many next to them, as shading does not, the surface ends there, and hides no step.
 _EDGE, _EDGE_PX = 0.9, 5
 
 
 @ti.func
 def has_edge(brightness: F32Array2, y: i32, x: i32, dy: i32, dx: i32) -> i32:
-    """Whether brightness has an edge between a pixel and the next: across it changes by more than beside it."""
+    """Return whether brightness has an edge between a pixel and the next: it changes there by more than next to it."""
     seen = vec4(0.0)
     for k in ti.static(range(4)):
         away = ti.static((2 * k - 3) * _EDGE_PX // 2 + 1)
@@ -56,7 +56,7 @@ def on_seam(
     x: i32,
     down: i32,
 ) -> i32:
-    """Whether phase and brightness go on from a pixel to the next, below or to the right, but not the orders."""
+    """Return whether phase and brightness continue to the next pixel, below or to the right, but not the orders."""
     contradicts = 0
     dy, dx = down, 1 - down
     y2, x2 = y + dy, x + dx
@@ -108,7 +108,7 @@ def mark_hidden_steps_kernel(
             seams[Seam.RIGHT + down, cell] = ti.select(down == 1, CELL_HEIGHT // CELL_WIDTH, 1) * count
     for cell in range(seams.shape[1]):
         row, column, rows, most = cell // columns, cell % columns, seams.shape[1] // columns, 0
-        # At the image's border the side that would tell may be missing, and the step goes on from the next cell.
+        # At the image's border the side that would show it may be missing, and the step continues from the next cell.
         for k in range(5):
             down, right = ti.cast(k == 1, i32) - ti.cast(k == 2, i32), ti.cast(k == 3, i32) - ti.cast(k == 4, i32)
             at_border = ti.select(down != 0, column == 0 or column == columns - 1, row == 0 or row == rows - 1)

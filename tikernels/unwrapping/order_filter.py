@@ -2,12 +2,12 @@
 
 phi2 = phi1 + 2 pi round((mean of phi over the window - phi1) / 2 pi), pixel after pixel from the image's centre: its
 row to the left, then to the right, then row by row up, then down (equation 4.3). In place means that a pixel sees its
-corrected predecessors, which makes the filter sequential. But a pixel can only change if its window says so with
+corrected predecessors, which makes the filter sequential. But a pixel can only change if its window requires it with
 nothing corrected, or if a predecessor in its window changed; so all windows are summed in parallel first, and only what
 can change is looked at again, until nothing changes any more. What is left then obeys the sequential filter's equation
 at every pixel, and as each pixel depends on its predecessors alone, there is only one such result.
 
-Phases are summed as integers, 2^16 a cycle: such sums are exact in any order, so that the orders agree bit for bit
+Phases are summed as integers, 2^16 per cycle: such sums are exact in any order, so that the orders agree bit for bit
 however the work is divided. A sum may wrap around; its difference from a multiple of the pixel's own phase does not
 while the mean lies within 2^15 / window^2 cycles.
 """
@@ -34,7 +34,7 @@ def sum_rows_kernel(
     unwrapped: F32Array2,  # (H, W) rad
     mask: U8Array2,  # (H, W)
     reach: i32,  # px on either side
-    out_phase: I32Array2,  # (H, W) 2^16 a cycle; 0 outside the mask
+    out_phase: I32Array2,  # (H, W) 2^16 per cycle; 0 outside the mask
     out_sums: I32Array2,  # (H, W) over the window's row
     out_counts: I32Array2,  # (H, W) valid pixels in it
 ):
@@ -107,7 +107,7 @@ def sum_down(
 
 @kernel
 def sum_windows_kernel(
-    phase: I32Array2,  # (H, W) 2^16 a cycle
+    phase: I32Array2,  # (H, W) 2^16 per cycle
     mask: U8Array2,  # (H, W)
     row_sums: I32Array2,  # (H, W)
     row_counts: I32Array2,  # (H, W)
@@ -145,7 +145,7 @@ def sum_windows_kernel(
 
 @ti.func
 def precedes(y: i32, x: i32, y2: i32, x2: i32, middle_y: i32, middle_x: i32) -> i32:
-    """Whether the filter comes to (y, x) before it comes to (y2, x2)."""
+    """Return whether the filter reaches (y, x) before (y2, x2)."""
     earlier = 0
     if y != y2:
         # The middle row, the rows above it upwards, the rows below it downwards.
@@ -243,7 +243,7 @@ def correct_fringe_order(
         The filter runs along the stripes first: from the centre (row H // 2, column W // 2) to the left, then to the
         right, then row by row up, then down; for vertical stripes with rows and columns exchanged.
     out : (H, W) float32, optional
-        Where the result goes.
+        Output array.
 
     Returns
     -------
@@ -260,7 +260,7 @@ def correct_fringe_order(
     -----
     phi2 = phi1 + 2 pi round((mean of phi over the window - phi1) / 2 pi), equation 4.3 of Je, Lee and Park 2004.
 
-    The filter knows no steps: beside a real one of more than half a cycle it pulls pixels across. Use it on one
+    The filter knows no steps: next to a real one of more than half a cycle it pulls pixels across. Use it on one
     surface.
 
     Examples

@@ -1,8 +1,8 @@
 """Grow patches of row runs that surely belong together, cell by cell.
 
-Along a stripe the phase changes least, so each row falls into runs without a doubt inside, and a run joins the run
-above by a vote over their whole contact (sections 4.1 and 4.2 of Je, Lee and Park 2004). Every cell does so on its own;
-where two of its patches touch, they note a contact with its votes (`patch_contacts.py`).
+Along a stripe the phase changes least, so each row falls into unambiguous runs, and a run joins the run above by a vote
+over their whole contact (sections 4.1 and 4.2 of Je, Lee and Park 2004). Every cell does so on its own; where two of
+its patches touch, they note a contact with its votes (`patch_contacts.py`).
 """
 
 from tikernels._taichi import F32Array2, I32Array2, Static, f32, i32, ivec2, ivec4, ti, vec3
@@ -44,7 +44,7 @@ def continue_row(
     out_labels: I32Array2,
     out_patches: I32Array2,
 ) -> i32:
-    """Join a cell's whole row to the patch above if its every pixel says so; return 1 where it is done.
+    """Join a cell's whole row to the patch above if its every pixel agrees; return 1 where it is done.
 
     Nearly every row does. Eight pixels are worked on at once; `grow_run` would give the same, only slower.
     """
@@ -133,7 +133,7 @@ def count_again(
     first_choice: i32,
     first_votes: i32,
 ):
-    """Choose what most pixels of a run surely vote for, and count: seldom needed, where they disagree or doubt."""
+    """Choose what most pixels of a run surely vote for, and count: seldom needed, where they disagree or are unsure."""
     chosen, votes = first_choice, first_votes
     for candidate in range(start + 1, stop):
         choice = vote_above(phase, quality, labels, y, candidate, labels[y, candidate] - written, rate)

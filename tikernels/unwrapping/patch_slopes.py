@@ -21,9 +21,9 @@ from tikernels.unwrapping.tables import (
 
 # What is summed of a patch, x and y from its cell's corner, u its phase: 1, x, y, u, x x, x y, y y, x u, y u.
 _SUMS = 9
-# Of each block of this many pixels squared one is looked at: slopes are good to 0.003 rad a px at a noise of 0.03 rad.
+# Of each block of this many pixels squared one is used: slopes are good to 0.003 rad per px at a noise of 0.03 rad.
 _EVERY = 2
-# A patch of a few pixels tells hardly any slope (px^2).
+# A patch of a few pixels hardly shows a slope (px^2).
 _PRIOR = 5.0
 
 
@@ -74,12 +74,12 @@ def measure_slopes(phase: F32, labels: I32, cells: I32, draft_bits: int, count: 
     draft_bits : int
         A cell has places for 2^bits patches.
     count : int
-        How many patches there are.
+        Number of patches.
 
     Returns
     -------
     (2, P) float64
-        Slopes along the rows and down the columns, rad a px.
+        Slopes along the rows and down the columns, rad per px.
     """
     sums = runtime.empty((count, _SUMS), np.float32)
     sum_patches_kernel(phase, labels, cells, draft_bits, sums)

@@ -18,14 +18,14 @@ from tikernels.unwrapping.surface_borders import Borders
 from tikernels.unwrapping.table_columns import columns_at, first_columns, put_columns
 from tikernels.unwrapping.tables import CONTACT_BITS, Cell, Contact, Patch, Region, cells_of, numbers_of
 
-#: Regions smaller than a cell are noise or slivers behind a step, whose order says nothing.
+#: Regions smaller than a cell are noise or slivers behind a step, whose order means nothing.
 MIN_REGION_PX = 128
 # Below this many patches or contacts one CPU thread is done before others have woken up ten times a round.
 _SERIAL = 12000
 
 
 def one_thread_is_faster(count: int) -> bool:
-    """Whether one thread is done with this many patches or contacts before others have woken up."""
+    """Return whether one thread is done with this many patches or contacts before others have woken up."""
     return runtime.started() == "cpu" and count < _SERIAL
 
 
@@ -45,7 +45,7 @@ class PatchGraph(NamedTuple):
     votes: npt.NDArray[np.int32]
     """(C,) how well each contact is supported."""
     borders: Borders | None = None
-    """What the borders of all patches show; None: none were measured."""
+    """Evidence of the borders of all patches; None: none were measured."""
 
 
 class RegionTable(NamedTuple):
@@ -63,7 +63,7 @@ class Patches:
     Parameters
     ----------
     count : int
-        How many patches there are.
+        Number of patches.
     drafts : Drafts
         Labels, and contacts as they were noted; numbered.
     table : (11, capacity) int32
@@ -200,9 +200,9 @@ class Patches:
         rays : (H, W, 2) float32
             x and y of every camera pixel's ray at unit depth.
         projector : ProjectorGeometry
-            Where the projector stands.
+            The projector's pose.
         depth_mm : float
-            Where the object is expected.
+            Expected depth of the object.
 
         Raises
         ------
@@ -229,7 +229,7 @@ class Patches:
         brightness : (H, W) float32
             Of the surface, without the fringe; up to a factor.
         rates : (N, 5) float32
-            What `measure_rates` found.
+            Results of `measure_rates`.
         out_unwrapped : (H, W) float32
             rad; NaN outside the mask.
         out_mask : (H, W) uint8

@@ -21,7 +21,7 @@ def table_place(contacts: I32Array2, e: i32, size: i32) -> i32:
 
 @ti.func
 def same_claim(contacts: I32Array2, e: i32, e2: i32) -> i32:
-    """Whether two contacts join the same regions by the same shift."""
+    """Return whether two contacts join the same regions by the same shift."""
     same = 1
     for row in ti.static((Contact.FROM, Contact.TO, Contact.SHIFT)):
         same &= ti.cast(contacts[row, e] == contacts[row, e2], i32)
@@ -78,7 +78,7 @@ def hand_votes_over(contacts: I32Array2, e: i32, table: I32Array2):
 
 @ti.func
 def take_votes(contacts: I32Array2, e: i32, table: I32Array2) -> i32:
-    """Return a contact's votes, with those that were handed over to it."""
+    """Return a contact's votes, with those that were passed to it."""
     votes = contacts[Contact.VOTES, e]
     if votes > 0:
         place = table_place(contacts, e, table.shape[1])

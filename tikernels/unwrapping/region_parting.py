@@ -1,10 +1,10 @@
-"""Part regions that hang together by the smaller part of their common border.
+"""Part regions that are connected by the smaller part of their common border.
 
-Two surfaces may touch where the step between them is a whole cycle: there the phase goes on, and what grows along its
-best contacts makes one region of them. The rest of their border tells that they are two. So patches are first joined
-to parts that step nowhere against each other (`grow_parts_kernel`), those with the same slopes first. The parts' whole
-borders are known then, and in rounds each joins the one with which it goes on over the largest share of their common
-border, if that is the larger part of it. Between parts that stay apart nothing tells the whole cycles: they become
+Two surfaces may touch where the step between them is a whole cycle: there the phase is continuous, and growing along
+its best contacts joins them to one region. The rest of their border shows that they are two. So patches are first
+joined to parts that step nowhere against each other (`grow_parts_kernel`), those with the same slopes first. The parts'
+whole borders are known then, and in rounds each joins the one with which it goes on over the largest share of their
+common border, if that is the larger part of it. Between parts that stay apart the whole cycles are unknown: they become
 regions of their own.
 
 On simulated piles of five objects of any tilt, each touching what is behind it at a step of whole cycles, the pixels
@@ -25,9 +25,9 @@ from tikernels.unwrapping.tables import add_alone
 from tikernels.unwrapping.union_find import part_of, rounds_at_once, settled
 
 # Parts that step against each other over more pixels than this do not grow together; patches of fewer pixels than the
-# second are slivers beside a step, whose phase is nobody's, and join whom they touch.
+# second are slivers next to a step, whose phase belongs to neither side, and join what they touch.
 _MAX_STEPPING, _MIN_PATCH_PX = 2.5, 60
-# A contact's votes count e-fold less where the patches' slopes differ by this (rad a px): what touches where the step
+# A contact's votes count e-fold less where the patches' slopes differ by this (rad per px): what touches where the step
 # is a whole cycle seldom has the same slopes, and so both surfaces are whole before they meet.
 _USUAL_BEND = 0.06
 # The most support that a contact has, and the least difference between two that counts; logarithms.
@@ -35,7 +35,7 @@ _MOST_SUPPORT, _LEAST_DIFFERENCE = 16.0, 0.0005
 # Of their common border, two parts must go on over more than the first share; one that would be left out alone, more
 # than the second.
 _MIN_SHARE, _MIN_SLIVER_SHARE = 0.6, 0.5
-# A part of fewer pixels is a sliver, whose relation to the rest nobody will tell: it is left out.
+# A part of fewer pixels is a sliver, whose relation to the rest stays unknown: it is left out.
 _MIN_PART_PX = 400
 # A patch from which the surface goes on to other parts over this many pixels may hold their border, where it cannot be
 # seen. It is left out: of a bust before a wall, 320x240 pixels, 163 pixels were whole cycles off, now 51.
@@ -57,7 +57,7 @@ class _List(IntEnum):
 
 @ti.func
 def stepping_between(parents: I32Array1, a: i32, b: i32, lists: I32Array2, ends: I32Array1, px: F32Array1) -> f32:
-    """Return over how many pixels two parts step against each other: the one with fewer such ends tells."""
+    """Return over how many pixels two parts step against each other, by the one with fewer such ends."""
     few, other = a, b
     if lists[_List.LENGTH, b] < lists[_List.LENGTH, a]:
         few, other = b, a
@@ -130,7 +130,7 @@ def grow_parts(
     px : (S,) float32
         and over how many pixels.
     pixels : (P,) int32
-        How many each patch has.
+        Number of pixels of each patch.
 
     Returns
     -------
@@ -154,7 +154,7 @@ def grow_parts(
     stepping = runtime.to_device(ends), runtime.to_device(px)
     parts = runtime.to_device(pixels.copy()), runtime.to_device(lists)
     parents, following = runtime.to_device(np.arange(count, dtype=np.int32)), runtime.to_device(np.zeros(1, np.int32))
-    calls = -(-_ROUNDS_A_CONTACT * contacts.shape[1] // rounds_at_once())  # at the least
+    calls = -(-_ROUNDS_A_CONTACT * contacts.shape[1] // rounds_at_once())  # at least
     while runtime.to_host(following)[0] < contacts.shape[1]:  # synchronises
         for _ in range(calls):
             grow_parts_kernel(rounds_at_once(), best, *stepping, *parts, parents, following)
@@ -170,7 +170,7 @@ def regions_that_step(roots: npt.NDArray[np.int32], borders: Borders) -> npt.NDA
     roots : (P,) int32
         The patch that stands for each patch's region.
     borders : Borders
-        What the patches' borders show.
+        Evidence of their borders.
     """
     a, b = roots[borders.ends]
     return np.asarray(np.bincount(a[a == b], borders.stepping[a == b], len(roots)) > _MAX_STEPPING)
@@ -186,9 +186,9 @@ def part_regions(
     graph : PatchGraph
         The patches, joined to regions.
     borders : Borders
-        What their borders show.
+        Evidence of their borders.
     slopes : (2, P) float
-        Of the patches' phase along and across the stripes, rad a px.
+        Of the patches' phase along and across the stripes, rad per px.
 
     Returns
     -------
@@ -233,7 +233,7 @@ def _join_parts(
 
     Returns (P,) each one's whole, and of each whole the one that it goes on with most.
     """
-    # Parts are few beside patches, and have numbers of their own.
+    # Parts are few compared with patches, and have numbers of their own.
     standing = np.flatnonzero(parts == np.arange(len(parts)))
     number, count = np.empty(len(parts), np.int64), len(standing)
     number[standing] = np.arange(count)
@@ -249,7 +249,7 @@ def _join_parts(
     touches = np.concatenate([np.zeros(len(pairs) - len(touching)), np.ones(len(touching))])
     while True:
         pairs, member = np.unique(pairs, return_inverse=True)
-        going_on, stepping, touches = (np.bincount(member, told) for told in (going_on, stepping, touches))
+        going_on, stepping, touches = (np.bincount(member, px) for px in (going_on, stepping, touches))
         a, b = pairs // count, pairs % count
         border = going_on + stepping
         share = going_on / np.maximum(border, 1e-9)

@@ -1,4 +1,4 @@
-"""Where the orders of a region begin: at 0 in its start, or at what brings it nearest to an expected depth."""
+"""First order of a region: 0 at its start, or the one that brings it nearest to an expected depth."""
 
 from tikernels._taichi import F32Array1, F32Array2, F32Array3, I32Array2, Static, f32, i32, ti, vec3
 from tikernels.depth.triangulation import load_projector, projected
@@ -8,7 +8,7 @@ from tikernels.unwrapping.tables import CELL_HEIGHT, CELL_WIDTH, MOST, ORDER_MAS
 
 # A reliable patch fills half a cell.
 _RELIABLE_PX = CELL_WIDTH * CELL_HEIGHT // 2
-# Reliable patches come before all others, for images up to some 30,000 px a side.
+# Reliable patches come before all others, for images up to about 30,000 px per side.
 _RELIABLE_SCORE = 2**29
 # What is lacking is summed in 64ths of a cycle: sums of integers are the same in any order.
 _UNITS = 64.0

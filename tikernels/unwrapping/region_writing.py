@@ -1,4 +1,4 @@
-"""Write the unwrapped phase, the mask and the regions; leave out what contradicts itself beside a step.
+"""Write the unwrapped phase, the mask and the regions; leave out what contradicts itself next to a step.
 
 The last pixel before a step is left out where the step has a pixel that belongs to neither side, or where only the
 orders show it: at the rim of a round object it can pass for the other surface. So are cells that hide a step.
@@ -74,7 +74,7 @@ def finish_patches_kernel(
     numbers: I32Array1,  # number of the region of each root; 0: too small
     out_final: I32Array2,  # (3, cells << bits) see `Final`
 ):
-    """Collect what is needed to write the result, and find the cells that have steps or lie beside one that has."""
+    """Collect what is needed to write the result, and find the cells that have steps or are next to one that has."""
     ti.loop_config(serialize=serial)
     for cell in range(cell_total):
         for k in range(cells[Cell.PATCHES, cell + 1] - cells[Cell.PATCHES, cell]):
@@ -105,7 +105,7 @@ def finish_patches_kernel(
 def beyond_step(
     phase: F32Array2, labels: I32Array2, final: I32Array2, y: i32, x: i32, y2: i32, x2: i32, rate: f32
 ) -> i32:
-    """Whether a neighbour's region is too small, or the same one whole cycles away."""
+    """Return whether a neighbour's region is too small, or the same one whole cycles away."""
     label, label2 = labels[y, x], labels[y2, x2]
     draft, draft2 = label >> ORDER_BITS, label2 >> ORDER_BITS
     beyond = 0
@@ -122,7 +122,7 @@ def beyond_step(
 
 @ti.func
 def beside_step(phase: F32Array2, rates: F32Array2, labels: I32Array2, final: I32Array2, y: i32, x: i32) -> i32:
-    """Whether a neighbour saw two surfaces, is too small a region, or lies whole cycles away."""
+    """Return whether a neighbour saw two surfaces, is too small a region, or lies whole cycles away."""
     along, across, _ = frame_rates(rates)
     beside = 0
     for side in range(4):
@@ -150,7 +150,7 @@ def leave_out_steps(
     stop: i32,
     region: Static,
 ):
-    """Take pixels of a row that lie in one cell out of their regions: all of them, or those beside a step."""
+    """Take pixels of a row that lie in one cell out of their regions: all of them, or those next to a step."""
     if steps == HIDES_STEP:
         for k in range(start, stop):
             region[k] = 0
@@ -246,7 +246,7 @@ def _write_unwrapped_kernel(wide: bool) -> Any:
 def write_unwrapped(
     phase: F32, rates: F32, labels: I32, final: I32, out_unwrapped: F32, out_mask: U8, out_region: I32
 ) -> None:
-    """Write every pixel's phase with its order, unless it lies outside the regions or beside a step.
+    """Write every pixel's phase with its order, unless it is outside the regions or next to a step.
 
     Parameters
     ----------

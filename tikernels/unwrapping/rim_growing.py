@@ -10,10 +10,10 @@ a side, g the usual change there (`phase_change.py`), and b the brightness witho
 
 because what turns away may turn away further, and gets darker, and what does not does neither, but that a last pixel
 sees some of the darkness beyond; smoothing along the stripes leaves 0.27 of the variance of a single pixel's p_1. Where
-noise would let 0.8 rad pass, which is a step (`smoothing.py`), nothing is told, and neither where one of the next three
-pixels, fitted as well, departs from p + u_1 - u_2 by 1.5 rad: there another surface begins. The side that fits best of
-four tells the order k. At least two of the eight neighbours must be of that surface and none of another: a pixel that
-sees two surfaces at once belongs to neither. Rims grow by a pixel a turn.
+noise would let 0.8 rad pass, which is a step (`smoothing.py`), nothing is decided, and neither where one of the next
+three pixels, fitted as well, departs from p + u_1 - u_2 by 1.5 rad: there another surface begins. The side that fits
+best of four determines the order k. At least two of the eight neighbours must be of that surface and none of another: a
+pixel that sees two surfaces at once belongs to neither. Rims grow by one pixel per pass.
 
 What lies beyond a rim may shine into its pixels by blur. To their variance that adds
 
@@ -121,7 +121,7 @@ def brightest_beyond(brightness: F32Array2, region: I32Array2, y: i32, x: i32) -
 
 @ti.func
 def lies_among_its_own(unwrapped: F32Array2, region: I32Array2, y: i32, x: i32, value: f32, number: i32) -> u1:
-    """Whether a pixel of this phase and region has neighbours on its surface, and none on another."""
+    """Return whether a pixel of this phase and region has neighbours on its surface, and none on another."""
     own, others = 0, 0
     for place in range(9):
         j, i = y + place // 3 - 1, x + place % 3 - 1
@@ -180,7 +180,7 @@ def grow_rims_kernel(
     rates: F32Array2,  # see `frame_rates`
     unwrapped: F32Array2,  # (H, W) rad
     mask: U8Array2,  # (H, W)
-    region: I32Array2,  # (H, W) from 1; 0: none; less while a turn lasts: of a pixel that is to be added
+    region: I32Array2,  # (H, W) from 1; 0: none; less during a pass: of a pixel that is to be added
     open_cells: I32Array1,  # (cells,) scratch: how many pixels belonged to no surface
     first: i32,  # turns that have been taken
     turns: Static,  # to take
@@ -196,7 +196,7 @@ def grow_rims_kernel(
 
 
 def grow_rims(phase: F32, precision: F32, misfit: F32, brightness: F32, rates: F32, out: tuple[F32, U8, I32]) -> None:
-    """Add pixels beside surfaces' rims that go on as these do.
+    """Add pixels next to surfaces' rims that continue them.
 
     Parameters
     ----------
@@ -209,7 +209,7 @@ def grow_rims(phase: F32, precision: F32, misfit: F32, brightness: F32, rates: F
     brightness : (H, W) float32
         Of the surface, without the fringe; up to a factor.
     rates : (N, 5) float32
-        What `measure_rates` found.
+        Results of `measure_rates`.
     out : three (H, W)
         Unwrapped phase, rad, float32, of pixels that are smoothed along the stripes; mask, uint8; and the surface of
         each pixel, int32, 0 off the mask. Pixels are added to them, each with its own phase; the others stay as they

@@ -1,9 +1,10 @@
-"""Leave out the pixels at a surface's rim that belong to the surface beside it, or see both.
+"""Leave out the pixels at a surface's rim that belong to the surface next to it, or see both.
 
-Where two surfaces touch at a step of whole cycles a phase does not tell whose a pixel is: a corner of a shoulder may
-continue the wall behind it, 90 mm further away. Its light tells. Seen from the corner, the wall lies beyond an edge of
-brightness, or nothing of it is seen at all. So from every pixel near the light of another surface eight rays go out
-over its own surface. What meets an edge of brightness, or the surface's end, on all of them is cut off, and left out:
+Where two surfaces touch at a step of whole cycles the phase does not show which surface a pixel belongs to: a corner of
+a shoulder may continue the wall behind it, 90 mm further away. Its brightness does. Seen from the corner, the wall lies
+beyond an edge of brightness, or nothing of it is seen at all. So from every pixel near the light of another surface
+eight rays go out over its own surface. What meets an edge of brightness, or the surface's end, on all of them is cut
+off, and left out:
 
     |log(b(k) / b(k - 4))| > log(1.4)   k px along a ray, 4 to 24, b the brightness there.
 
@@ -52,7 +53,7 @@ def room_along(place: i32, step: i32, length: i32) -> i32:
 def other_light(
     phase: F32Array2, modulation: F32Array2, region: I32Array2, y: i32, x: i32, dy: i32, dx: i32, own: i32, least: f32
 ) -> u1:
-    """Whether a ray that leaves its surface meets another one's light, and not its own surface again behind it."""
+    """Return whether a ray that leaves its surface meets another one's light, not its own surface again behind it."""
     found, goes_on = False, False
     room = ti.min(room_along(y, dy, region.shape[0]), room_along(x, dx, region.shape[1]))
     for gap in range(ti.min(room, _PRINT) + 1):
@@ -136,7 +137,7 @@ def rays_go_on(brightness: F32Array2, region: I32Array2, y: i32, left: i32, dy: 
 
 @ti.func
 def stopped_pixels(brightness: F32Array2, region: I32Array2, y: i32, left: i32, right: i32, first: i32):
-    """Return which pixels of a cell's row have no ray that `rays_go_on` tells of, and the ray that was looked at last.
+    """Return which pixels of a cell's row have no ray that `rays_go_on` reports, and the ray that was checked last.
 
     The next row begins with that one.
     """
@@ -153,7 +154,7 @@ def stopped_pixels(brightness: F32Array2, region: I32Array2, y: i32, left: i32, 
 
 @ti.func
 def is_cut_off(brightness: F32Array2, modulation: F32Array2, phase: F32Array2, region: I32Array2, y: i32, x: i32) -> u1:
-    """Whether all rays from a pixel are stopped, some by an edge and some by another's light."""
+    """Return whether all rays from a pixel are stopped, some by an edge and some by another's light."""
     tried, goes_on, edges, others = 0, False, False, False
     while tried < 8 and not goes_on:
         dy, dx = place_of_ray(tried)
@@ -167,7 +168,7 @@ def is_cut_off(brightness: F32Array2, modulation: F32Array2, phase: F32Array2, r
 
 @ti.func
 def lies_at_rim(region: I32Array2, top: i32, left: i32, bottom: i32, right: i32) -> u1:
-    """Whether a surface, or the image, ends in a cell or next to it."""
+    """Return whether a surface, or the image, ends in a cell or next to it."""
     ends = top == 0 or left == 0 or bottom == region.shape[0] or right == region.shape[1]
     if not ends:
         differs = 0
@@ -180,7 +181,7 @@ def lies_at_rim(region: I32Array2, top: i32, left: i32, bottom: i32, right: i32)
 
 @ti.func
 def lies_beside_others(phase: F32Array2, region: I32Array2, top: i32, left: i32, bottom: i32, right: i32) -> u1:
-    """Whether two surfaces' light is seen around a cell, by a look at every tenth pixel: at most cells it is not."""
+    """Return whether two surfaces' light is seen around a cell, in every tenth pixel: at most cells it is not."""
     lowest, highest = 1 << 30, -1
     for look in range(_LOOKS[0] * _LOOKS[1]):
         row, column = look // _LOOKS[1], look % _LOOKS[1]
@@ -223,7 +224,7 @@ def mark_strangers(
 
 @ti.func
 def ends_at(region: I32Array2, y: i32, x: i32) -> u1:
-    """Whether a surface ends at a pixel, in any of eight directions: behind a hole it goes on."""
+    """Return whether a surface ends at a pixel, in any of eight directions: behind a hole it continues."""
     ends, ray = False, 0
     while ray < 8 and not ends:
         dy, dx = place_of_ray(ray)

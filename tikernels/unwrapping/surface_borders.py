@@ -1,9 +1,9 @@
-"""Where patches border on each other: over how many pixels the surface goes on, and over how many it steps.
+"""Borders between patches: the number of pixels over which the surface continues, and over which it steps.
 
-The phase is compared across four pixels with what the slopes on either side let expect. Two surfaces that touch may
-agree in places, where the step between them is a whole cycle; along most of their border they do not. Pixels at a
-border may see both surfaces or two paints, and their phase is neither's. So the four pixels are laid across the border
-at each of the four places where they reach over it, and the second least departure counts.
+The phase is compared across four pixels with what the slopes on either side predict. Two surfaces that touch may agree
+in places, where the step between them is a whole cycle; along most of their border they do not. Pixels at a border may
+see both surfaces or two paints, and their phase is neither's. So the four pixels are laid across the border at each of
+the four places where they reach over it, and the second least departure counts.
 """
 
 from enum import IntEnum
@@ -32,7 +32,7 @@ from tikernels.unwrapping.tables import (
     patch_number,
 )
 
-# The phase is compared with that this many pixels away; slopes are taken over this many. Steeper ones (rad a px,
+# The phase is compared with that this many pixels away; slopes are taken over this many. Steeper ones (rad per px,
 # relative to the usual change) are no slopes, and count as none.
 _REACH, _SLOPE_PX, _MAX_SLOPE = 4, 2, 0.6
 # A surface goes on where the phase departs by less than the first, and steps where it departs by more than the second
@@ -41,7 +41,7 @@ _REACH, _SLOPE_PX, _MAX_SLOPE = 4, 2, 0.6
 _GOES_ON, _STEPS = 0.15, 0.25
 _GOES_ON_SIGMAS, _STEPS_SIGMAS = 2.5, 4.0
 _SIGMA_OF_MEDIAN = 1.4826
-# Where that is more than this (rad), no departure tells a step from noise.
+# Where that is more than this (rad), no departure distinguishes a step from noise.
 _MOST = 2.0
 # Around a cell are those up to this many further: a bumpy surface departs by more than the wall behind it.
 _AROUND = 2
@@ -75,7 +75,7 @@ class Borders(NamedTuple):
 
 
 class CellSamples(NamedTuple):
-    """What cells show of the phase, before borders are measured."""
+    """Samples of the phase in each cell, before borders are measured."""
 
     departures: npt.NDArray[np.float32]
     """(2, cells) rad, how far the phase departs at one place, along and across the stripes; NO_PHASE if unknown."""
@@ -85,14 +85,14 @@ class CellSamples(NamedTuple):
 
 @ti.func
 def slope_beyond(difference: f32, rate: f32) -> f32:
-    """Return a slope, rad a px, beyond the usual change; 0 where it is too steep to be one."""
+    """Return a slope, rad per px, beyond the usual change; 0 where it is too steep to be one."""
     slope = without_cycles(difference - _SLOPE_PX * rate) / _SLOPE_PX
     return ti.select(ti.abs(slope) > _MAX_SLOPE, 0.0, slope)
 
 
 @ti.func
 def departure(phase: F32Array2, y: i32, x: i32, down: i32, rate: f32) -> vec2:
-    """How far (rad) the phase departs from what the slopes before and after let expect; NO_PHASE if not to be told.
+    """Return how far (rad) the phase departs from what the slopes before and after predict; NO_PHASE if unknown.
 
     Then the whole cycles that were taken off.
     """
@@ -155,7 +155,7 @@ def border_at(
 ):
     """Return the labels on both sides of a border that begins after a pixel, its pixels, and whether it steps.
 
-    Negative labels: there is none, or it says nothing. Then the whole cycles to add there to count from here.
+    Negative labels: there is none, or it shows nothing. Then the whole cycles to add there to count from here.
     """
     dy, dx = ti.static((down, 1 - down))
     here, there, px, shift = -1, -1, 0.0, 0
@@ -227,7 +227,7 @@ def _limits(departures: npt.NDArray[np.float32], rows: int, columns: int) -> npt
     Parameters
     ----------
     departures : (2, cells)
-        By how much the phase departs at a place of each cell, along and across; NO_PHASE if it cannot be told.
+        By how much the phase departs at a place of each cell, along and across; NO_PHASE if unknown.
     """
     size = 2 * _AROUND + 1
     # One picture above the other, and a frame around each.
@@ -235,7 +235,7 @@ def _limits(departures: npt.NDArray[np.float32], rows: int, columns: int) -> npt
     framed[:, _AROUND:-_AROUND, _AROUND:-_AROUND] = departures.reshape(2, rows, columns)
     pictures = framed.reshape(-1, framed.shape[2])
     median = cv2.medianBlur(pictures, size)
-    # Where some of those around are missing, for they cannot be told or lie outside, the median is of the others.
+    # Where some of those around are missing, because they are unknown or outside, the median is of the others.
     missing = cv2.dilate((pictures >= NO_PHASE).astype(np.uint8), np.ones((size, size), np.uint8)) != 0
     inside = np.zeros(framed.shape, bool)
     inside[:, _AROUND:-_AROUND, _AROUND:-_AROUND] = True
@@ -261,7 +261,7 @@ def sample_cells(phase: F32, rates: F32, labels: I32) -> CellSamples:
     phase : (H, W) float32
         rad in [-pi, pi]; NO_PHASE outside the mask.
     rates : (N, 5) float32
-        What `measure_rates` found.
+        Results of `measure_rates`.
     labels : (H, W) int32
         Patch and order in it.
     """
@@ -282,7 +282,7 @@ def measure_borders(
     patches: I32,
     departures: npt.NDArray[np.float32],
 ) -> Borders:
-    """Measure over how many pixels the surface goes on from each patch to those beside it, and over how many it steps.
+    """Measure over how many pixels the surface continues from each patch to the next, and over how many it steps.
 
     Parameters
     ----------
@@ -291,7 +291,7 @@ def measure_borders(
     quality : (H, W) float32
         Larger is better; the modulation.
     rates : (N, 5) float32
-        What `measure_rates` found.
+        Results of `measure_rates`.
     labels : (H, W) int32
         Patch and order in it.
     cells : (3, cells + 1) int32

@@ -1,4 +1,4 @@
-"""Read and write a part of a table: tables have a place for every pixel that may ask for one, and few are used.
+"""Read and write a part of a table: tables have a place for every pixel that may need one, and few are used.
 
 On the CPU a table is a NumPy array, and its first columns are a look at it.
 """

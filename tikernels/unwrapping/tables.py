@@ -1,7 +1,7 @@
-"""What unwrapping keeps of pixels, cells, patches, contacts and regions: every table, row by row.
+"""Tables of unwrapping, row by row: of pixels, cells, patches, contacts and regions.
 
 A *cell* is a rectangle of 8 x 16 pixels. A *patch* is what surely belongs together of a cell's pixels, with orders that
-count from its own zero. A *contact* is where two patches touch: it says by how much the zeros of their orders differ,
+count from its own zero. A *contact* is where two patches touch: it shows by how much the zeros of their orders differ,
 and how well that is supported. Patches that contacts have joined are a *region*, of which one patch is the *root*. A
 *shift* is the whole cycles to add to one patch's orders to make them count from another one's zero; a *step* is one of
 the surface, across which nothing joins.
@@ -86,7 +86,7 @@ class Final(IntEnum):
     STEPS = 2  # 0, or one of the two below
 
 
-#: A cell or one beside it has steps, so its pixels are looked at one by one; or its borders tell that a step of whole
+#: A cell or one next to it has steps, so its pixels are checked one by one; or its borders show that a step of whole
 #: cycles is hidden in it, so none of its pixels is written.
 HAS_STEPS, HIDES_STEP = 1, 2
 
@@ -110,7 +110,7 @@ class Seam(IntEnum):
 class Match(IntEnum):
     """Rows of the table in which contacts that say the same find each other; see `table_place`."""
 
-    NAME = 0  # the smallest name of those that ask for this place
+    NAME = 0  # the smallest name of those that need this place
     CONTACT = 1  # whose name it is
     VOTES = 2  # of the others that say the same
 

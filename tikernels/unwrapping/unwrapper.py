@@ -1,11 +1,11 @@
 """Find the order of every fringe from its neighbours: patches, joined along the best supported contacts first.
 
-In every cell, row runs without a doubt inside join the run above by a vote over their whole contact
-(`patch_growing.py`): they form patches, and it is noted where two patches touch. The patches are then joined in rounds
-(`region_merging.py`): every region joins the neighbour with which its contact is the best supported. The result does
-not depend on the number of threads. Nothing is joined across a step, and regions that only touch where the step is a
-whole cycle are parted again (`region_parting.py`). So a surface that nothing connects to the rest becomes a region of
-its own, whose start is its reliable pixel nearest the image's centre.
+In every cell, unambiguous row runs join the run above by a vote over their whole contact (`patch_growing.py`): they
+form patches, and it is noted where two patches touch. The patches are then joined in rounds (`region_merging.py`):
+every region joins the neighbour with which its contact is the best supported. The result does not depend on the number
+of threads. Nothing is joined across a step, and regions that only touch where the step is a whole cycle are parted
+again (`region_parting.py`). So a surface that nothing connects to the rest becomes a region of its own, whose start is
+its reliable pixel nearest the image's centre.
 
 The paper (sections 4.1 and 4.2 of Je, Lee and Park 2004) grows one region pixel by pixel from a bright start near the
 centre, by priority of intensity, location and direction; here all cells grow at once.
@@ -33,7 +33,7 @@ from tikernels.unwrapping.surface_borders import measure_borders, sample_cells
 from tikernels.unwrapping.tables import Contact, Counter, Final, Match, Patch, Region, Seam
 from tikernels.unwrapping.union_find import rounds_at_once
 
-# Rounds of joining regions that a GPU does before it is asked whether anything was left: eight are usual.
+# Rounds of joining regions that a GPU does before it is queried whether anything was left: eight are usual.
 _ROUNDS_AT_ONCE = 4
 # A cell drafts up to 2^3 patches, and four times as many contacts: clean surfaces need one and two. Where noise needs
 # more, the drafts grow.
@@ -48,7 +48,7 @@ class RegionUnwrapper:
     height, width : int
         Size of the frames.
     given : GivenRegions, optional
-        Where the patches come from instead of growing; they are not parted.
+        Source of the patches instead of growing; they are not parted.
     """
 
     _table: I32
@@ -85,7 +85,7 @@ class RegionUnwrapper:
         quality : (H, W) float32
             Larger is better; the modulation.
         rates : (N, 5) float32
-            What `measure_rates` found.
+            Results of `measure_rates`.
 
         Returns
         -------
@@ -112,7 +112,7 @@ class RegionUnwrapper:
         return patches
 
     def _part(self, patches: Patches, phase: F32, quality: F32, rates: F32) -> None:
-        """Leave out cells of even light, and part regions that hang together by less than most of a border."""
+        """Leave out cells of even light, and part regions that are connected by less than most of a border."""
         of_patches = (patches.labels, patches.cell_table, patches.draft_bits)
         samples = sample_cells(phase, rates, patches.labels)
         even = patches_of_even_light(samples.changes, patches.cell_table, patches.count)
@@ -151,7 +151,7 @@ class RegionUnwrapper:
     def _merge(self, contacts: int) -> None:
         """Join regions round by round until no contact is left between two of them."""
         tables = (self._table, self._contacts, self._matches, self._counters)
-        # To ask a GPU whether anything is left takes longer than a round in which nothing is.
+        # To query a GPU whether anything is left takes longer than a round in which nothing is.
         rounds = 1 if runtime.started() == "cpu" else _ROUNDS_AT_ONCE
         while True:
             for _ in range(rounds):
@@ -185,7 +185,7 @@ def unwrap_phase(
     stripes : {"horizontal", "vertical"}
         "horizontal" where the phase changes from row to row.
     out : (H, W) float32, optional
-        Where the result goes.
+        Output array.
 
     Returns
     -------

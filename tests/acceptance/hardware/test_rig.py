@@ -41,14 +41,14 @@ def suffer(seed: int, strobe: bool, n_bursts: int) -> tuple[int, int, int]:
             fates.append(random_fault(random) if n_failed < 2 else Faulty())
             return fates[-1]
 
-    def tell(rejected: Rejected) -> None:
+    def notify(rejected: Rejected) -> None:
         nonlocal n_failed, lost
         n_failed += 1
         lost += all(fate.harmless for fate in fates)
         fates.clear()
 
     bench = Bench(settings(strobe=strobe, frames=4), Plan())
-    with Rig(bench.settings, bench.open, tell) as rig:
+    with Rig(bench.settings, bench.open, notify) as rig:
         for burst in islice(rig.bursts(), n_bursts):
             wrong += len(bench.mispaired(burst))
             n_faults += n_failed

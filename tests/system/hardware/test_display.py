@@ -170,7 +170,7 @@ def test_every_pixel_on_an_x_server(tmp_path, monkeypatch):
                 shown.wait(0.1)
                 server.wait_for(picture)
             monkeypatch.setenv("WAYLAND_DISPLAY", "wayland-0")
-            assert "does not tell of scaling" in shown.note
+            assert "does not report scaling" in shown.note
 
 
 def test_too_few_colours_on_an_x_server(tmp_path, monkeypatch):

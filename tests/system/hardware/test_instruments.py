@@ -36,7 +36,7 @@ def test_the_example_in_the_docs_runs_with_nothing_attached(tmp_path, monkeypatc
 
 def test_a_simulated_rig_is_opened_as_a_real_one():
     settings = rig_settings()
-    with Rig(settings, lambda: open_instruments(settings), tell=print) as rig:
+    with Rig(settings, lambda: open_instruments(settings), notify=print) as rig:
         numbers = [
             (burst.number, [paired.pulse for paired in burst.frames], [paired.image.shape for paired in burst.frames])
             for burst in islice(rig.bursts(), 2)

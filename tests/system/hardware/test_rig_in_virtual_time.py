@@ -41,7 +41,7 @@ def test_random_faults_with_any_wiring(strobe, clock, endless, monkeypatch):
         fates.append(random_faults(random) if n_failed < 2 else Faults())
         return fates[-1]
 
-    def tell(rejected):
+    def notify(rejected):
         nonlocal n_failed, n_rejected
         n_failed += 1
         n_rejected += 1
@@ -50,7 +50,7 @@ def test_random_faults_with_any_wiring(strobe, clock, endless, monkeypatch):
 
     virtual = VirtualRig(next_faults, strobe=strobe, clock=clock, trigger_ppm=200)
     monkeypatch.setattr(rig_module, "time", virtual)
-    with Rig(virtual.settings, virtual.open, tell) as rig:
+    with Rig(virtual.settings, virtual.open, notify) as rig:
         for _ in range(150):
             for burst in islice(rig.bursts(endless=endless), 3):
                 wrong.extend([list(fates)] * (virtual.mispaired(burst) > 0))

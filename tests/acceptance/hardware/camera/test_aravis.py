@@ -58,7 +58,7 @@ def test_own_images_and_numbers_that_wrap(start_twin, opened):
     # The fake camera has a gain without a unit, and no word on its frame rate; all else it locks.
     assert [sentence.split(":")[0] for sentence in camera.unlocked] == [
         "its gain has no unit",
-        "it does not tell how many frames a second it makes as it is set up",
+        "it does not report its frame rate as it is set up",
     ]
     frames = burst(camera, 140)
     assert [frame.fault for frame in frames] == [None] * 140

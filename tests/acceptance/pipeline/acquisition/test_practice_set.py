@@ -75,7 +75,7 @@ def test_nothing_stays_of_a_set_that_was_interrupted(cpu, tmp_path, monkeypatch)
         if "pose" in what:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(practice_set, "_write_light", lambda folder, rig, tell: folder.mkdir())
+    monkeypatch.setattr(practice_set, "_write_light", lambda folder, rig, notify: folder.mkdir())
     with pytest.raises(KeyboardInterrupt):
         write_practice(tmp_path / "practice", "cpu", interrupted)
     assert list(tmp_path.iterdir()) == []

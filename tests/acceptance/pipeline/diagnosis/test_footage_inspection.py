@@ -227,7 +227,7 @@ def test_few_frames_of_long_footage_are_looked_at(tmp_path, clip):
     path = record(tmp_path / "long.zarr", [clip[i % 14] for i in range(120)])
     found = inspect_footage(path, arch="cpu")
     assert found.n_frames == 120 and 12 <= found.n_looked_at <= 20
-    assert any("20 of 120" in sentence or f"{found.n_looked_at} of 120" in sentence for sentence in found.not_told)
+    assert any("20 of 120" in sentence or f"{found.n_looked_at} of 120" in sentence for sentence in found.unknown)
 
 
 def test_on_every_backend(tmp_path, arch):

@@ -219,7 +219,7 @@ def test_a_calibration_of_another_size_is_refused_before_anything_is_fired(tmp_p
 def test_how_it_stands_is_told_from_the_start_and_after_every_burst(tmp_path):
     bench = Bench(settings(alternating=False), [Faulty(lost_trigger=one)])
     told = []
-    captured(bench, tmp_path / "out", CapturePlan(2), tell=told.append)
+    captured(bench, tmp_path / "out", CapturePlan(2), notify=told.append)
     assert [(progress.n_bursts, progress.n_rejected) for progress in told] == [(0, 0), (0, 1), (1, 1), (2, 1)]
 
 

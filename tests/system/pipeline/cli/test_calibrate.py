@@ -202,7 +202,7 @@ def test_half_a_second_board_is_refused(command):
 def test_it_says_what_is_true_and_what_comes_next(monkeypatch, command, tmp_path):
     """Sides, baseline and radius; and commands that the program understands."""
 
-    def made(folder, arch, tell):
+    def made(folder, arch, notify):
         folder.mkdir()
         return practice_rig()
 

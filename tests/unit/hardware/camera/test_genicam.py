@@ -222,7 +222,7 @@ def test_impossible_settings(change, said):
 def test_lines_that_cannot():
     with pytest.raises(RigError, match="Line2 cannot be an output"):
         set_up(camera(LineMode=choice("Input")), SETTINGS.model_copy(update={"strobe_line": "Line2"}))
-    with pytest.raises(RigError, match="cannot tell of exposures, only UserOutput1"):
+    with pytest.raises(RigError, match="cannot report exposures, only UserOutput1"):
         set_up(camera(LineSource=choice("UserOutput1")), SETTINGS.model_copy(update={"strobe_line": "Line2"}))
     with pytest.raises(RigError, match="it has no lines at all"):
         set_up(without("LineSelector"), SETTINGS.model_copy(update={"strobe_line": "Line2"}))
@@ -251,7 +251,7 @@ def test_shortest_period():
     assert period_s(camera(), exposure_s=0.5) == 0.5  # a camera that forgets its own exposure
     unsaid = without("ResultingFrameRate")
     assert period_s(unsaid) == pytest.approx(2e-3)
-    assert any("does not tell how many frames a second" in sentence for sentence in set_up(unsaid, SETTINGS).unlocked)
+    assert any("does not report its frame rate" in sentence for sentence in set_up(unsaid, SETTINGS).unlocked)
     unsaid.features["AcquisitionFrameRate"] = Feature(30.0, bounds=(1.0, 100.0))
     assert period_s(unsaid) == pytest.approx(1 / 100 + 2e-3)
 
@@ -321,7 +321,7 @@ def test_which_camera():
 
 def test_ready_and_warm(monkeypatch):
     monkeypatch.setattr("hardware.camera.genicam._READY_S", 0.02)
-    wait_until_ready(camera(), 2e-3)  # it does not tell
+    wait_until_ready(camera(), 2e-3)  # it does not report it
     ready = camera(AcquisitionStatusSelector=choice("AcquisitionActive", "FrameTriggerWait"))
     ready.features["AcquisitionStatus"] = Feature(True)
     wait_until_ready(ready, 2e-3)

@@ -268,7 +268,7 @@ def test_a_box_that_somebody_else_set_is_refused():
         ({"strays": 5}, "exposed 5 times before the first pulse"),
         ({"garbled": 9}, "9 lines to and from the trigger box were damaged"),
         ({"vsyncs": 0}, "the projector reported no picture"),
-        ({"boot": 8, "cause": 0}, "has restarted since it was configured: its boot loader does not tell why"),
+        ({"boot": 8, "cause": 0}, "has restarted since it was configured: its boot loader does not report why"),
         ({"boot": 8, "cause": 8}, "has restarted since it was configured: its program hung"),
     ],
 )

@@ -113,7 +113,7 @@ def test_chroma_that_is_not_in_pairs_is_refused(monkeypatch):
         return picture
 
     monkeypatch.setattr(pillow_heif, "open_heif", said)
-    with pytest.raises(FootageError, match="half the resolution, and cannot be told apart again: save it as PNG"):
+    with pytest.raises(FootageError, match="half the resolution, and cannot be separated again: save it as PNG"):
         read_heic(data)
 
 
