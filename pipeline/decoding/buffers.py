@@ -69,7 +69,7 @@ class BufferPool:
         shape : (height, width)
             Of the image with its stripes along the rows.
         points : bool
-            Whether there is room for points.
+            True if there is room for points.
         """
         if shape != self._shape:
             self._shape = shape

@@ -87,7 +87,7 @@ class Field(cached_property[T]):
         noise_levels : float
             The frame's noise, grey levels.
         in_mm : bool
-            Whether the frame's ranges are in mm.
+            True if the frame's ranges are in mm.
         """
         return values if self.rounding is None else self.rounding.apply(values, noise_levels, in_mm)
 

@@ -58,9 +58,9 @@ class FirstLook:
     model : ChannelModel
         The frame's samples, balanced.
     crosstalk : Crosstalk
-        What they were balanced with.
+        The crosstalk that they were balanced with.
     levels : FrameLevels
-        The frame's noise, and what a pixel needs to have a phase.
+        The frame's noise, and the least of a pixel with a phase.
 
     Attributes
     ----------

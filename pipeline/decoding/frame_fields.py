@@ -134,7 +134,7 @@ class FrameFields(ABC):
         Returns
         -------
         matplotlib.figure.Figure
-            What it is drawn in.
+            The figure that it is drawn in.
 
         Raises
         ------

@@ -48,11 +48,11 @@ class FrameReader:
     settings : DecodeSettings
         Full scale and stripes.
     light : LightModel
-        How the camera encodes light, and its lateral colour.
+        The camera's encoding of light, and its lateral colour.
     geometry : Geometry, optional
         The calibrated rig's, for images of one size.
     reference : (H, W) float32, optional
-        What ranges are measured from, for images of its size.
+        The origin of ranges, for images of its size.
     """
 
     def __init__(

@@ -163,7 +163,7 @@ class LightModel:
         model : ChannelModel
             Is fitted to the frame.
         before : FoundSurfaces or OnlyColor, optional
-            What the frame before in a video had.
+            Those of the previous frame of a video.
         """
         crosstalk, surfaces, odd = self.crosstalk, None, None
         correction, cycle = self._balance(image, crosstalk, levels, model)
@@ -224,7 +224,7 @@ class LightModel:
         Parameters
         ----------
         histogram : (tiles, bins)
-            How often each phase is seen; see `ChannelModel.recover`.
+            Counts of each phase; see `ChannelModel.recover`.
         period_px : float
             Camera px per cycle.
 

@@ -23,7 +23,7 @@ def frame_levels(settings: DecodeSettings, statistics: FrameStatistics, white: f
     Parameters
     ----------
     settings : DecodeSettings
-        What is given wins.
+        Values that they state take precedence.
     statistics : FrameStatistics
         The frame's, as fractions of full scale.
     white : float
