@@ -403,7 +403,7 @@ def _ready_store(
 def _kernels_to_share(job: Job, wanted: range, workers: int | None, cluster: str | None) -> Iterator[None]:
     """Compile the body's kernels in such a way that the processes that decode afterwards find them on the disk.
 
-    What a process compiles is of use to those with as many threads a kernel, and is written when its device ends. A
+    What a process compiles is of use to those with as many threads per kernel, and is written when its device ends. A
     device that the caller has started is left alone.
     """
     started_here = not runtime.is_started()

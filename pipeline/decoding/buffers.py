@@ -62,7 +62,7 @@ class BufferPool:
         self._free: _Free = defaultdict(lambda: deque(maxlen=_MOST_FREE))
 
     def lend(self, shape: tuple[int, int], *, points: bool) -> tuple[PhaseBuffers, SurfaceBuffers]:
-        """Return buffers that nobody else writes; their content is arbitrary.
+        """Return buffers for exclusive use; their content is arbitrary.
 
         Parameters
         ----------

@@ -210,7 +210,7 @@ def light_doubts(
         doubts["low contrast"] = _LOWERED.format(contrast)
     if constant_known and mismatch > MAX_MISMATCH:
         doubts["other crosstalk"] = (
-            f"the colours' fringes differ by {mismatch:.0%} from what the crosstalk matrix makes of them, and phases "
+            f"the colours' fringes differ by {mismatch:.0%} from the crosstalk matrix's prediction, and phases "
             f"may be off by as much, {_in_depth(mismatch, mm_per_rad)}: colorphase inspect looks at the file, "
             "calibrate check at the rig"
         )

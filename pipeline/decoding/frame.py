@@ -380,7 +380,7 @@ class DecodedFrame(FrameFields):
         return self._sigma(self._measured.phases.misfit)
 
     def _sigma(self, misfit: F32 | None) -> F32:
-        """Estimate the standard deviations; without the misfit the light's model is taken to be right."""
+        """Estimate the standard deviations; without the misfit the light's model is treated as right."""
         phases, surface = self._measured.phases, self._measured.surface
         with runtime.lock:
             known = (surface.unwrapped, phases.precision, phases.variance, misfit, surface.mask)

@@ -203,7 +203,7 @@ def count_votes(
     kept = (counts[best] >= _MIN_VOTES) & (counts[best] >= _MIN_SHARE * total) & (coherence[regions] >= _MIN_COHERENCE)
     if (coherence[regions] * total)[kept].sum() < _SAME_SCENE * everyone:
         return count_votes(votes[:0], roots)
-    # What has moved goes on moving, or it stops: by either, one of the next orders may be the likelier one.
+    # A moving surface continues moving, or it stops: by either, one of the next orders may be the likelier one.
     likelihood = np.stack(
         [
             np.exp(-away / _USUAL_CHANGE) + np.exp(-np.abs(change + turn) / _USUAL_CHANGE)

@@ -68,7 +68,7 @@ class Factor:
 
     middle: FloatArray  # (2,) row and column, px
     brightness: float  # levels
-    terms: FloatArray  # (4, ...) at the middle, slopes a row and a column, and by ambient light; usual ones are 1
+    terms: FloatArray  # (4, ...) at the middle, slopes per row and per column, and by ambient light; usual ones are 1
 
     @staticmethod
     def shape(place: FloatArray, brightness: FloatArray, middle: FloatArray, usual: float) -> FloatArray:

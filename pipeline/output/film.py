@@ -53,7 +53,7 @@ class Film:
     before: int
     """Pictures that a run before had drawn."""
     held: tuple[int, ...]
-    """Frames that are not there, or show nothing: the one before stands in for them."""
+    """Frames that are not there, or show nothing: the one before replaces them."""
     broken: dict[int, str]
     """Those of them that are damaged, and how."""
     codec: str

@@ -95,7 +95,7 @@ def export_frames(
         The folder cannot be written, is being written by another run, or holds a file of such a name that was changed,
         or that no export has written; then nothing is replaced.
     SettingsError
-        There is no such format; or the options are of no use for it, or ask for mm, and there are none.
+        There is no such format; or the options do not apply to it, or require mm, and there are none.
     """
     form, result, folder = format_of(kind), StoredResult(location), Path(folder)
     if not result.done:

@@ -10,7 +10,7 @@ Holes. A weighted quadric is fitted to the pixels up to four px around a hole, a
 
 with W = 1 / sigma^2 and chi^2 the mean squared residual, in variances (13: neighbours' errors are alike,
 docs/method.md, 7). The hole is filled where chi < 2 and no value is less sure than twice the median pixel around it. So
-what is filled is as good as measured if the surface does nothing inside that it does not do around; nobody has seen it.
+what is filled is as good as measured if the surface does nothing inside that it does not do around; it was not seen.
 
 Rims. Where a surface turns away, the next pixel is millimetres deeper, and a rim that runs from pixel to pixel is
 jagged when it is seen from the side. So the last vertices move along their surface, by less than half a pixel, to where

@@ -28,7 +28,7 @@ _TYPES = dict(
         strict=True,
     )
 )
-# A line for each property, and comments: others' have some 1,000 bytes.
+# A line for each property, and comments: others' have about 1,000 bytes.
 _LONGEST_HEAD = 2**16
 # Vertices or faces at a time, which stay in the processor's cache until they are written.
 _BLOCK = 2**14
