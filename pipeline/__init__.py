@@ -1,4 +1,4 @@
-"""What a user does with the kernels: decode, export, render, simulate."""
+"""The user's tasks with the kernels: decode, export, render, simulate."""
 
 from typing import TYPE_CHECKING
 

@@ -16,7 +16,7 @@ Key = Literal[
 
 
 class Cause(str):
-    """A message that names a cause that was looked for, with a key by which programs and tests know the cause."""
+    """A message that names a cause that was searched for, with a key by which programs and tests know the cause."""
 
     __slots__ = ("key",)
     key: Key

@@ -1,9 +1,9 @@
-"""The codes that tell which cycle a place of the pattern is in, by the contrast that it has there.
+"""The codes that show which cycle a place of the pattern is in, by the contrast that it has there.
 
-"contrast" has one symbol a cycle, of a sequence that never repeats: absolute orders without a calibration. "contrast2"
-has one for every cell of a cycle, a few pixels along the stripe, and needs a geometry: a place's column is known at
-every order that it may have, so only windows at the same columns have to differ, and a small one tells its order.
-`docs/coded_pattern.md` derives both.
+"contrast" has one symbol per cycle, of a sequence that never repeats: absolute orders without a calibration.
+"contrast2" has one for every cell of a cycle, a few pixels along the stripe, and needs a geometry: a place's column is
+known at every order that it may have, so only windows at the same columns have to differ, and a small one determines
+its order. `docs/coded_pattern.md` derives both.
 """
 
 from dataclasses import dataclass
@@ -19,12 +19,13 @@ from pipeline.models import CodeName, FloatArray
 CYCLES = 136
 # Contrast of the symbols, modulation over background; a plain pattern's is 1.
 _CONTRASTS, _CONTRASTS_2 = (0.72, 0.86, 1.0), (0.8, 1.0)
-# One digit a cycle, from the projector's first row (or column) on. No two stretches of five cycles change alike.
+# One digit per cycle, from the projector's first row (or column) on. No two stretches of five cycles change alike.
 _SYMBOLS = (
     "02110212222212202220002020101200122102022110011202100200012120200212102101210002202120122012011220022120"
     "00021022001002222020211201022210"
 )
-# One word of fifteen cells a cycle, repeated along the stripe: each differs from every other one in five cells or more.
+# One word of fifteen cells per cycle, repeated along the stripe: each differs from every other one in five cells or
+# more.
 _WORDS = (
     "31eb5b8e1c11708a063202e46fd1544266e32ef6213a36bb01176a651d4f262c64be606807af5a9949442bc70edb2f6b587d78e62c98102e"
     "7587218c422b53673af13f3041d87e9274d934a061f56d7c23211669191c1b3b32187c0c4d9d7cb513a82566450e3a846c57390220a72aaa"
@@ -43,7 +44,7 @@ _FLAT = 0.5
 
 @dataclass(frozen=True, eq=False)
 class ContrastCode:
-    """Which contrast the pattern has where.
+    """The contrast of every place of the pattern.
 
     Attributes
     ----------
@@ -52,7 +53,7 @@ class ContrastCode:
     contrasts : (CYCLES, columns) float64
         In the middle of every cycle and cell; the columns repeat along the stripe.
     cell_px : float or None
-        How wide a cell is along the stripe, projector px; None: a cycle has the same contrast all along.
+        Width of a cell along the stripe, projector px; None: a cycle has the same contrast all along.
     """
 
     name: CodeName
@@ -151,7 +152,7 @@ class ContrastCode:
         width_px : float
             Projector px along the stripe over which it is averaged.
         cycles : int
-            How many the pattern has.
+            Number of the pattern's cycles.
 
         Returns
         -------

@@ -70,8 +70,8 @@ from tikernels.unwrapping.rim_pixels import leave_out_strangers
 
 _log = logging.getLogger("colorphase.decoder")
 
-# While it is not clear which side is in front, this many frames are asked, and then one of as many: asking takes up to
-# a fourth of the time that decoding does.
+# While it is not clear which side is in front, this many frames are checked, and then one of as many: a check takes up
+# to a fourth of the time that decoding does.
 _ASKED = 16
 
 
@@ -81,13 +81,13 @@ class Decoder:
     Parameters
     ----------
     settings : DecodeSettings, optional
-        How to decode.
+        Settings of the decoding.
     calibration : Calibration, optional
         The rig; with it, results are in mm.
     reference : DecodedFrame, optional
         A frame of a plane, which `range_image` is measured from without a calibration.
     arch : {"auto", "cpu", "vulkan", "cuda", "metal"}
-        Where to compute; a named one never falls back.
+        The device; a named one never falls back.
     unwrapper : UserUnwrapper, optional
         Your own unwrapping: an object with ``unwrap(phase, quality) -> (unwrapped, region)``,
         stripes along the rows; see `tikernels.unwrapping.UserUnwrapper`.
@@ -95,11 +95,12 @@ class Decoder:
     Attributes
     ----------
     state : RigState
-        What frames have told of the rig; assign another decoder's, and this one asks them nothing that it has settled.
+        The rig's state as estimated from frames; assign another decoder's, and this one omits the checks that it has
+        settled.
     settings, calibration
         As given.
     arch : str
-        Where it computes.
+        Its device.
 
     Raises
     ------
@@ -139,7 +140,7 @@ class Decoder:
         self.settings, self.calibration, self._unwrapper = settings, calibration, unwrapper
         self._light = LightModel(self.settings, calibration)
         geometry = calibration.geometry() if calibration is not None and calibration.has_geometry else None
-        self._told: LightEstimate | None = None
+        self._estimated_light: LightEstimate | None = None
         self._rims = RimVotes()
         self._asks_rims = geometry is None and self.settings.projector_side is None
         self._unclear_frames = 0
@@ -176,13 +177,13 @@ class Decoder:
         Parameters
         ----------
         image : (H, W, 3) uint8, uint16 or float32
-            RGB, levels from 0 to the white level (floats: 0..1): a NumPy array, a Taichi ndarray, or what another
-            library (PyTorch, JAX: all that speak DLPack) has in the host's memory, which is not copied.
+            RGB, levels from 0 to the white level (floats: 0..1): a NumPy array, a Taichi ndarray, or the array of
+            another library (PyTorch, JAX: all that support DLPack) in the host's memory, which is not copied.
         previous : DecodedFrame, optional
             The frame before in a video, decoded with the same settings. Region by region its orders are carried on
-            where no code tells them, as long as a surface's phase changes by less than a third of a cycle, or by as
-            much more or less than a frame before, and its edges move by less than 10 px; and its phases count when the
-            response is equalised. A frame that shows nothing of it again starts afresh, with a `DecodeWarning`.
+            where no code determines them, as long as a surface's phase changes by less than a third of a cycle, or by
+            as much more or less than a frame before, and its edges move by less than 10 px; and its phases count when
+            the response is equalised. A frame that shows nothing of it starts afresh, with a `DecodeWarning`.
         out : DecodedFrame, optional
             An earlier result of the same size, whose arrays are used again: what was read from it changes.
         elapsed : float
@@ -250,7 +251,7 @@ class Decoder:
     ) -> Iterator[DecodedFrame]:
         """Decode the frames of footage in their order, each with the one before.
 
-        Light is taken to be encoded as the footage says, where neither settings nor calibration do, and the
+        Light is treated as encoded as the footage states, where neither settings nor calibration do, and the
         calibration is that of the part of the sensor which frames are. Frames have their `number` and `time_s`.
 
         Parameters
@@ -258,9 +259,9 @@ class Decoder:
         footage : Footage
             As `open_footage` opens it.
         start, stop, step : int
-            Which frames, as of a slice.
+            The frames, as of a slice.
         on_bad : {"raise", "skip"}
-            Whether a damaged frame ends it, or is left out with a `DecodeWarning`.
+            End at a damaged frame, or skip it with a `DecodeWarning`.
 
         Yields
         ------
@@ -333,21 +334,23 @@ class Decoder:
 
     @property
     def state(self) -> RigState:
-        """What frames have told of the rig."""
+        """The rig's state as estimated from frames."""
         code = None if self._light.code_unknown or self._light.code is None else self._light.code.name
         asked: dict[Asked, bool] = {
             "light": self._light.unknown,
             "code": self._light.code_unknown,
             "rims": self._asks_rims and not self._rims.clear,
         }
-        return RigState(self._told, code, self._rims, frozenset(name for name, is_asked in asked.items() if is_asked))
+        return RigState(
+            self._estimated_light, code, self._rims, frozenset(name for name, is_asked in asked.items() if is_asked)
+        )
 
     @state.setter
     def state(self, state: RigState) -> None:
         if "code" not in state.asks:
             self._use_code(state.code)
         if "light" not in state.asks:
-            self._told = state.light
+            self._estimated_light = state.light
             self._light.learn(state.light)
         if "rims" not in state.asks:
             self._rims, self._asks_rims = state.rims, False
@@ -442,7 +445,7 @@ class Decoder:
     def _kept_light(
         self, frame: LinearFrame, image: LevelsImage, levels: FrameLevels, work: Workspace, crosstalk: Crosstalk
     ) -> FrameLight:
-        """Return what a frame keeps of its light, of which nothing is written again."""
+        """Return the light that a frame keeps, which is not written again."""
         model, white = work.model, self._light.white
         return FrameLight(
             image=self._pool.keep(image) if frame.shared and image is frame.image else image,
@@ -478,9 +481,9 @@ class Decoder:
         statistics: FrameStatistics,
         period_px: float,
     ) -> Measured:
-        """Return what was measured with the doubts of its exposure, or nothing where the rig cannot show it."""
+        """Return the measurement with warnings about its exposure, or nothing where the rig cannot show it."""
         few = few_pixels_doubt(frame, levels, float(self._work(frame, period_px).model.contrast), measured.n_measured)
-        if few is not None:  # of which little else can be said
+        if few is not None:  # about which little else is known
             orders = measured.order_doubt if measured.n_measured else None
             return replace(measured, order_doubt=orders, light_doubts=(few,))
         over = over_exposure_doubt(statistics.clipped)
@@ -513,7 +516,7 @@ class Decoder:
             known = found.orders.known[runtime.to_host(found.surface.region)].sum() / max(1, found.n_measured)
             changed[key] = Changed(
                 read=None if self._light.code is None else float(known),
-                mismatch=found.mismatch if self._light.constant_known and self._told is None else None,
+                mismatch=found.mismatch if self._light.constant_known and self._estimated_light is None else None,
             )
         return changed
 
@@ -530,9 +533,9 @@ class Decoder:
     def _hold_still(
         self, frame: LinearFrame, levels: FrameLevels, work: Workspace, memory: FrameMemory | None
     ) -> tuple[LevelsImage, FieldMotion | None]:
-        """Return the image as if its colours were of one moment, and what has moved between them; None: nothing known.
+        """Return the image as if its colours were of one moment, and what has moved between them; None: unknown.
 
-        By a first look at the phase, and the frame before.
+        By a first pass over the phase, and the previous frame.
         """
         known, model = self._light, work.model
         if self._fields is None or memory is None:
@@ -548,7 +551,7 @@ class Decoder:
     def _carry_rows(
         self, phases: PhaseBuffers, surface: SurfaceBuffers, memory: FrameMemory | None, work: Workspace
     ) -> RowMotion | None:
-        """Carry the phase to the time of the middle row; return what has moved between rows; None: nothing known."""
+        """Carry the phase to the time of the middle row; return what has moved between rows; None: unknown."""
         if not self._row or memory is None:
             return None
         before, rows_last = memory.surface.unwrapped, self._setup.stripes == "vertical"
@@ -559,16 +562,18 @@ class Decoder:
         return motion
 
     def _learn_light(self, frame: LinearFrame, levels: FrameLevels, period_px: float, surface: SurfaceBuffers) -> bool:
-        """Learn crosstalk and response from a frame that was decoded without them; return whether it told them."""
+        """Learn crosstalk and response from a frame that was decoded without them; return whether it shows them."""
         if not self._light.unknown:
             return False
         phases = runtime.to_host(surface.unwrapped)[runtime.to_host(surface.mask) != 0]  # synchronises
         if phases.size:
             cycles = float(np.ptp(np.quantile(phases, (0.01, 0.99)))) / (2 * np.pi)
             with suppress(CalibrationError):
-                self._told = estimate_light(frame.image, levels, self._work(frame, period_px).period_px, cycles)
-        self._light.learn(self._told)
-        return self._told is not None and self._told.reliable
+                self._estimated_light = estimate_light(
+                    frame.image, levels, self._work(frame, period_px).period_px, cycles
+                )
+        self._light.learn(self._estimated_light)
+        return self._estimated_light is not None and self._estimated_light.reliable
 
     def _work(self, frame: LinearFrame, period_px: float) -> Workspace:
         """Return the buffers for a frame's size and period."""

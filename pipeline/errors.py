@@ -1,4 +1,4 @@
-"""What can go wrong between an image and a mesh; each message is one line that says what to do."""
+"""Errors between an image and a mesh; each message is one line that states what to do."""
 
 from tikernels.errors import Error
 
@@ -41,7 +41,7 @@ class FootageError(Error, OSError):
 
 
 class OutputError(Error, OSError):
-    """A result cannot be written where it was asked for.
+    """A result cannot be written to its destination.
 
     Examples
     --------
@@ -53,7 +53,7 @@ class OutputError(Error, OSError):
 
 
 class DamageError(Error, OSError):
-    """What is stored is not as it was written."""
+    """Stored data is not as it was written."""
 
 
 class RenderError(Error, RuntimeError):

@@ -1,4 +1,4 @@
-"""Whole files or none: a result appears under its name only when it is complete."""
+"""Complete files or none: a result appears under its name only when it is complete."""
 
 import errno
 import os
@@ -40,7 +40,7 @@ def write_atomically(path: str | Path, content: bytes | memoryview | Callable[[B
     path : str or Path
         The file to make or replace.
     content : bytes, memoryview or callable
-        What it holds, or a function that writes it to an open binary file.
+        Its content, or a function that writes it to an open binary file.
 
     Raises
     ------
@@ -92,9 +92,9 @@ def replace_file(path: Path, content: bytes | memoryview | Callable[[BinaryIO], 
     path : Path
         The file to make or replace.
     content : bytes, memoryview or callable
-        What it holds, or a function that writes it to an open binary file.
+        Its content, or a function that writes it to an open binary file.
     safe : bool
-        Whether what it holds is on the disk before it appears under its name, in case the power fails.
+        True if its content is on the disk before it appears under its name, in case the power fails.
 
     Raises
     ------

@@ -58,7 +58,7 @@ def max_pixels() -> int:
 
 
 def ffmpeg_limits() -> dict[str, str]:
-    """Return the options by which FFmpeg refuses frames that are larger than their file's head says.
+    """Return the options by which FFmpeg refuses frames that are larger than their file's head states.
 
     It counts whole blocks, which reach beyond a picture's edges, so it gets twice as many.
     """
@@ -106,7 +106,7 @@ def check_missing(what: str, n_frames: int, n_there: int) -> None:
 
 
 def open_plain(path: str | Path) -> BufferedReader:
-    """Open a file for reading; what has its name may come from a stranger.
+    """Open a file for reading; what has its name may come from anywhere.
 
     Raises
     ------
@@ -131,7 +131,7 @@ def _check_plain(about: os.stat_result) -> None:
 
 
 def read_plain(path: str | Path, most_bytes: int) -> bytes:
-    """Return what a file holds: the one way to read a whole file that others may have made.
+    """Return what a file holds: the one way to read a complete file that others may have made.
 
     Raises
     ------

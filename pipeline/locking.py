@@ -1,4 +1,4 @@
-"""One writer at a time: a lock that says who holds it, and that the system takes away from a program that dies."""
+"""One writer at a time: a lock that names its holder, and that the system takes away from a program that dies."""
 
 import getpass
 import json
@@ -24,8 +24,8 @@ _MOST_BYTES = 1000
 def locked(target: Path) -> Iterator[None]:
     """Keep others from writing to a place; its folder must be there.
 
-    The lock is held by an open file beside it, ``.NAME.lock``, so that nothing is locked any more once this program has
-    ended, killed or not; what a killed one leaves is an unlocked file, which the next one takes over.
+    The lock is held by an open file next to it, ``.NAME.lock``, so that nothing is locked any more once this program
+    has ended, killed or not; what a killed one leaves is an unlocked file, which the next one takes over.
 
     Raises
     ------
@@ -66,12 +66,12 @@ def _open_and_take(path: Path, target: Path) -> int:
             holder = _holder(file)
             os.close(file)
             raise OutputError(f"{target} is being written by another run{holder}: wait until it ends") from None
-        # Who held it has just removed it.
+        # Its holder has just removed it.
         os.close(file)
 
 
 def _holder(file: int) -> str:
-    """Return who holds a lock, as far as its file shows."""
+    """Return the holder of a lock, as far as its file shows."""
     try:
         os.lseek(file, 0, os.SEEK_SET)
         about: Any = json.loads(os.read(file, _MOST_BYTES))

@@ -23,7 +23,7 @@ FloatArray = npt.NDArray[np.float64]
 #: Levels in any element type that cameras and files give: a colour image (H, W, 3), or one plane of a stored frame.
 ImageArray = npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | npt.NDArray[np.float32]
 
-#: By what a pattern tells the cycle of a place, and what users may name.
+#: The ways in which a pattern shows the cycle of a place, and those that users may name.
 CodeName = Literal["contrast", "contrast2"]
 CodeChoice = Literal[CodeName, "none"]
 
@@ -61,7 +61,7 @@ class ArrayOf:
         return {"type": "array", "shape": self.shape}
 
     def read(self, value: Any) -> FloatArray:
-        """Turn numbers into the array, or say what they should be."""
+        """Turn numbers into the array, or state what they should be."""
         try:
             array = np.array(value, dtype=np.float64)
         except (TypeError, ValueError, OverflowError, RecursionError) as error:
@@ -95,7 +95,7 @@ _Offset = Annotated[int, Field(ge=0, lt=2**20)]
 
 
 class SensorPart(Model):
-    """The part of its sensor that a camera's frames are, as `hardware.SensorPart` says it."""
+    """The part of its sensor that a camera's frames are, as `hardware.SensorPart` states it."""
 
     sensor_px: tuple[_Count, _Count]  # width and height of the sensor
     offset_px: tuple[_Offset, _Offset]  # first column and row that are read out, of the sensor
@@ -103,7 +103,7 @@ class SensorPart(Model):
 
     @classmethod
     def of(cls, limits: "CameraLimits") -> "SensorPart | None":
-        """Return that of a camera as it is set up; None: it does not say."""
+        """Return that of a camera as it is set up; None: unknown."""
         return None if limits.sensor is None else cls.model_validate(asdict(limits.sensor))
 
     def __str__(self) -> str:

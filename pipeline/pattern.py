@@ -40,7 +40,7 @@ def make_pattern(
     response : (3, N) float64, optional
         Light of N evenly spaced codes of R, G, B, rising from 0 to 1. With it the light, not the codes, is sinusoidal.
     brightness : float
-        How much of the light there is to be, above 0 to 1; without a response, of the codes.
+        Fraction of the full light, above 0 to 1; without a response, of the codes.
 
     Returns
     -------

@@ -1,8 +1,7 @@
 """Processes that this one starts: every one by `start_python`, or inside `safe_start` where Python itself starts it.
 
-They see the modules that this process sees, and none of the folder that it happens to be in: a stranger's folder may
-hold a ``pickle.py``. What goes through the pipes of a `Child` is pickled by this package on both ends, and by nobody
-else.
+They see the modules that this process sees, and none of the folder that it happens to be in: a foreign folder may hold
+a ``pickle.py``. What goes through the pipes of a `Child` is pickled by this package on both ends only.
 """
 
 import os
@@ -22,7 +21,7 @@ from typing import IO, Any, cast
 _SAFE_PATH = "PYTHONSAFEPATH"
 # Time that a child takes to end.
 _END_S = 20.0
-# Between two looks at whether its parent is there.
+# Between two checks whether its parent is there.
 _LOOK_S = 0.02
 
 
@@ -75,7 +74,7 @@ class ChildDied(Exception):
 
 @dataclass(frozen=True)
 class _Failure:
-    """What a child has raised, and where."""
+    """An error that a child has raised, with its traceback."""
 
     error: BaseException
     trace: str
@@ -115,12 +114,12 @@ class Child:
         self.close(in_peace=kind is None)
 
     def send(self, message: Any) -> None:
-        """Hand over a message.
+        """Send a message.
 
         Raises
         ------
         ChildDied
-            Nobody takes it.
+            The child is gone.
         """
         try:
             pickle.dump(message, cast(IO[bytes], self._process.stdin))
@@ -129,12 +128,12 @@ class Child:
             raise ChildDied from None
 
     def receive(self) -> Any:
-        """Return what it says next, or raise what it has raised.
+        """Return its next message, or raise what it has raised.
 
         Raises
         ------
         ChildDied
-            It says nothing more.
+            It sends nothing more.
         """
         self._asked_at_s = time.monotonic()
         try:
@@ -177,7 +176,7 @@ def serve(work: Callable[[Callable[[], Any], Callable[[Any], None]], None]) -> N
     Parameters
     ----------
     work : callable
-        Takes what returns the next message, and what says one. What it raises is sent.
+        Takes a function that returns the next message, and one that sends one. Its exception is sent.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the other end decides when to end
     Thread(target=_end_with, args=(os.getppid(),), name="parent", daemon=True).start()

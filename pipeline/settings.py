@@ -1,4 +1,4 @@
-"""How a frame is decoded."""
+"""Settings of decoding."""
 
 import tomllib
 from itertools import pairwise
@@ -31,12 +31,12 @@ class FieldTimes(Model):
     model_config = ConfigDict(use_attribute_docstrings=True)
 
     cycle_s: Annotated[float, Field(gt=0, le=_LONGEST_S)]
-    """How long red, green and blue take together."""
+    """Time of red, green and blue together."""
     shown_s: Annotated[FloatArray, ArrayOf((3, 2), _LONGEST_S)] | None = None
-    """From when to when red, green and blue are on in a cycle; None: a third of it each, in an order that the frames
+    """Times when red, green and blue go on and off in a cycle; None: a third of it each, in an order that the frames
     show or not."""
     locked: bool = False
-    """Whether every exposure starts with a cycle; false: it is found in each frame where it does."""
+    """True if every exposure starts with a cycle; false: its start is found in each frame."""
 
     @model_validator(mode="after")
     def _check(self) -> "FieldTimes":
@@ -68,7 +68,7 @@ def _odd_or_zero(value: int) -> int:
 
 
 class DecodeSettings(Model):
-    """How a frame is decoded; in TOML, what is left out is the default.
+    """Settings of decoding; in TOML, omitted ones have their defaults.
 
     Thresholds and noise are grey levels of the input, in linear light (a sRGB frame's after its transfer is undone).
 
@@ -81,36 +81,37 @@ class DecodeSettings(Model):
     model_config = ConfigDict(use_attribute_docstrings=True)
 
     camera_period_px: Annotated[float, Field(ge=MIN_PERIOD_PX, le=_MAX_PERIOD_PX)] | None = None
-    """Camera px a cycle, roughly; None: measured from the frame."""
+    """Camera px per cycle, roughly; None: measured from the frame."""
     stripes: Literal["horizontal", "vertical"] = "horizontal"
     """"horizontal" where the phase changes from row to row; stripes may be tilted by 20 degrees."""
     crosstalk_matrix: Matrix3 | None = None
     """camera = matrix @ projector in linear light; wins over the calibration's."""
     reflectance_bands: Literal["broad", "narrow"] | None = None
-    """Where a surface's colour acts: "broad" on the camera's channels, after the crosstalk, "narrow" on the projector's
-    primaries, before it. Real surfaces are between the two; None: found in the frame, surface by surface."""
+    """The place where a surface's colour acts: "broad" on the camera's channels, after the crosstalk, "narrow" on the
+    projector's primaries, before it. Real surfaces are between the two; None: found in the frame, surface by
+    surface."""
     transfer: Literal["linear", "srgb", "bt709"] | None = None
-    """How the camera encoded light; undone before anything else. None: as the calibration has measured it, else as the
-    file says, of which a JPEG that says nothing is sRGB; else, and for arrays, linear."""
+    """Encoding of light by the camera; undone before anything else. None: as the calibration has measured it, else as
+    the file states, where a JPEG without a statement is sRGB; else, and for arrays, linear."""
     capture: CameraState | None = None
-    """How the camera was set for this footage; compared with the calibration's."""
+    """The camera's settings for this footage; compared with the calibration's."""
     equalize: bool = True
-    """Whether, where nothing tells the projector's response, the phase's distribution is made uniform to undo it. A
-    calibration's response is used whatever this says; so is what the first frame tells where nothing is known of the
-    light (see `Decoder`)."""
+    """True to undo an unknown response of the projector by making the phase's distribution uniform. A calibration's
+    response is used in either case; so is the first frame's estimate where nothing is known of the light (see
+    `Decoder`)."""
     smoothing_px: Annotated[int, Field(ge=0, le=MAX_SMOOTHING_PX), AfterValidator(_odd_or_zero)] = 7
     """Side of the window that the phase is smoothed over, along the stripes and across them, an odd number; 0: none."""
     projector_side: Literal["above", "below", "left", "right"] | None = None
-    """Where the projector stands, as the camera's picture shows it: "above" or "below" with horizontal stripes, "left"
-    or "right" with vertical ones. It tells which side of a surface is in front where no calibration does; None: the
-    frame tells, in which surfaces turn away from the camera at their rims."""
+    """The projector's side, as the camera's picture shows it: "above" or "below" with horizontal stripes, "left" or
+    "right" with vertical ones. It determines which side of a surface is in front where no calibration does; None: the
+    frame determines it, in which surfaces turn away from the camera at their rims."""
     code: CodeChoice | None = None
     """The pattern's code, by which orders become absolute. "contrast": the modulation of each cycle shows which one it
     is, as in what `colorphase pattern` makes; "contrast2": that of its cells, as wide as in the calibration's pattern;
     "none": the pattern is plain. None: the calibration's pattern has one, or the first frame with fringes shows it."""
     fields: FieldTimes | None = None
-    """How the projector shows red, green and blue where it shows them one after another. Then `previous` tells what
-    moved in between, and, unless `fields.locked`, when each exposure began. It needs `frame_s`. None: all at once."""
+    """Times of red, green and blue where the projector shows them one after another. Then `previous` shows what moved
+    in between, and, unless `fields.locked`, when each exposure began. It needs `frame_s`. None: all at once."""
     frame_s: Annotated[float, Field(gt=0, le=_LONGEST_S)] | None = None
     """From one frame of a video to the next. None: not known, as of single pictures."""
     row_s: Annotated[float, Field(ge=0, le=_LONGEST_S)] = 0.0
@@ -145,8 +146,8 @@ class DecodeSettings(Model):
         sides = ("above", "below") if self.stripes == "horizontal" else ("left", "right")
         if self.projector_side not in (None, *sides):
             raise ValueError(
-                f"projector_side is {self.projector_side!r} and stripes are {self.stripes}: these tell depth only with "
-                f"a projector {' or '.join(sides)}"
+                f"projector_side is {self.projector_side!r} and stripes are {self.stripes}: they determine depth only "
+                f"with a projector {' or '.join(sides)}"
             )
         return self
 

@@ -1,4 +1,4 @@
-"""How objects show themselves in a notebook: as HTML with a picture, figures and warnings, or as a figure; and save.
+"""Display of objects in a notebook: as HTML with a picture, figures and warnings, or as a figure; and saving.
 
 What draws an object is often in a room above its class. So classes call the functions below, which load
 `pipeline.output.notebook` or `pipeline.view.embedded` when they first meet an object: it registers how each is shown.
@@ -80,11 +80,11 @@ def html_block(
     Parameters
     ----------
     heading : str
-        What it is.
+        The object's name.
     figures : mapping of str to str
-        Names, and what is to be told of each.
+        Names, and the text about each.
     warnings : iterable of str
-        What the user should know, a line each.
+        Warnings for the user, one line each.
     picture : bytes, optional
         A PNG file.
     """
@@ -110,14 +110,14 @@ def plot_image(values: npt.NDArray[Any], title: str, unit: str | None, ax: "Axes
     Parameters
     ----------
     values : (H, W) or (H, W, 3)
-        Numbers, with a scale beside them from their 1st to their 99th percentile; or flags, or RGB in uint8, without.
+        Numbers, with a scale next to them from their 1st to their 99th percentile; or flags, or RGB in uint8, without.
         NaN is left out.
     title : str
         The field's name.
     unit : str or None
         Of its values.
     ax : matplotlib.axes.Axes, optional
-        Where to draw; None: a figure of its own.
+        The axes to draw into; None: a new figure.
 
     Returns
     -------
@@ -142,7 +142,7 @@ def _own_figure() -> "Figure":
     from matplotlib.figure import Figure  # slow to import, and only needed here
 
     class ShownFigure(Figure):
-        """A figure that shows itself where pyplot, which tells notebooks how, was never imported."""
+        """A figure that shows itself where pyplot, which registers its display, was never imported."""
 
         def _repr_png_(self) -> bytes:
             file = io.BytesIO()

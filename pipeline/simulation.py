@@ -24,7 +24,7 @@ _PROJECTOR_FOCAL_PX = 1792.0
 _BASELINE_MM = 180.0
 _DISTANCE_MM = 900.0
 
-# k1 k2 p1 p2 k3 of ordinary lenses: a picture's corner lies nearly a hundredth beside where a pinhole shows it.
+# k1 k2 p1 p2 k3 of ordinary lenses: a picture's corner lies nearly a hundredth from where a pinhole shows it.
 _CAMERA_LENS, _PROJECTOR_LENS = (-0.12, 0.08, 0.001, -0.0008, 0.0), (-0.06, 0.05, -0.001, 0.0005, 0.0)
 #: The simulated rig's calibration, as it has found it itself (`tests/benchmarks/simulated_calibration.py`).
 OWN_CALIBRATION = Path(__file__).with_name("simulated_calibration.json")
@@ -38,7 +38,7 @@ Triple = tuple[float, float, float]
 
 
 class SimulationSettings(Model):
-    """What happens between the pattern and the frame; the defaults are an ordinary, imperfect rig.
+    """The path from the pattern to the frame; the defaults are an ordinary, imperfect rig.
 
     Examples
     --------
@@ -111,13 +111,13 @@ def simulated_rig(
     Parameters
     ----------
     size_px : (width, height)
-        The camera's; its field of view stays, so a 640 px wide image sees some 12 px a cycle.
+        The camera's; its field of view stays, so a 640 px wide image sees about 12 px per cycle.
     period_px : float
         The pattern's period in projector px.
     stripes : {"horizontal", "vertical"}
-        The baseline stands across them.
+        The baseline is across them.
     tilt_deg : float
-        How far the projector is turned about its own axis, and with it the stripes.
+        Rotation of the projector about its own axis, and with it of the stripes.
     camera_distortion, projector_distortion : 4, 5, 8, 12 or 14 floats
         OpenCV's coefficients.
     code : {"contrast", "contrast2"}, optional
@@ -182,7 +182,7 @@ def simulate_frame(
     rig : Calibration
         Lenses, geometry and pattern.
     settings : SimulationSettings, optional
-        What goes wrong on the way.
+        Imperfections on the way.
     codes : (Hp, Wp, 3) float32, optional
         Projector codes, 0..1, to show instead of the rig's pattern.
 
@@ -233,7 +233,7 @@ def simulate_frame(
 def _rendered(
     geometry: Geometry, settings: SimulationSettings, light: npt.NDArray[np.float32], place: npt.NDArray[np.float64]
 ) -> projection.SceneTruth:
-    """Render what is seen along one ray a pixel, this far (px) from its middle."""
+    """Render the view along one ray per pixel, this far (px) from its middle."""
     lens = geometry.camera.model_dump_json()
     return projection.render_scene(
         settings.scene,

@@ -1,4 +1,4 @@
-"""Read all that is stored and say what is whole: results, recordings, captures."""
+"""Read all that is stored and report what is complete: results, recordings, captures."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from pipeline.output.folder import STORE, changed_files
 from pipeline.output.stored_result import StoredResult
 from pipeline.recording.zarr_writer import finish_recording, unfinished
 
-Tell = Callable[[int, int], None]
+Notify = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -29,19 +29,19 @@ class Verified:
 
     @property
     def whole(self) -> bool:
-        """Whether nothing is wrong."""
+        """True if nothing is wrong."""
         return not self.faults and not self.damage
 
 
-def verify(location: str, tell: Tell = lambda done, of: None) -> list[Verified]:
+def verify(location: str, notify: Notify = lambda done, of: None) -> list[Verified]:
     """Check a result, the folder that it is in, a capture, or a recording; finish a capture that was killed.
 
     Parameters
     ----------
     location : str
         A ``result.zarr``, which may be an fsspec URL; or a folder or file here.
-    tell : callable
-        Receives how many of how many frames have been checked.
+    notify : callable
+        Called with the number of frames checked and of all.
 
     Raises
     ------
@@ -52,16 +52,16 @@ def verify(location: str, tell: Tell = lambda done, of: None) -> list[Verified]:
     """
     path = Path(location)
     if "://" in location or _is_result(path):
-        return [_verify_result(location, tell)]
+        return [_verify_result(location, notify)]
     if not path.is_dir() or path.suffix == ".zarr":
-        return [_verify_recording(path, tell)]
+        return [_verify_recording(path, notify)]
     found = [*_finish(path)]
     if (path / STORE).is_dir():
-        result = _verify_result(str(path / STORE), tell)
+        result = _verify_result(str(path / STORE), notify)
         changed = tuple(f"{name} has been changed since it was written" for name in changed_files(path))
         found.append(Verified(result.name, result.n_whole, result.faults, result.notes, (*result.damage, *changed)))
     if (path / RECORDING).exists():
-        found.append(_verify_recording(path / RECORDING, tell))
+        found.append(_verify_recording(path / RECORDING, notify))
     if left := tuple(f"{name} was left by a program that was killed, and may be removed" for name in _left(path)):
         found.append(Verified(location, 0, {}, notes=left))
     if not found:
@@ -73,7 +73,7 @@ def _is_result(path: Path) -> bool:
     return path.is_dir() and (path.name == STORE or (path / "done").is_dir())
 
 
-def _verify_result(location: str, tell: Tell) -> Verified:
+def _verify_result(location: str, notify: Notify) -> Verified:
     """Check every frame of a result that is done, even while others continue to write it."""
     try:
         result = StoredResult(location)
@@ -84,20 +84,20 @@ def _verify_result(location: str, tell: Tell) -> Verified:
         fault = result.fault(number)
         if fault is not None:
             faults[number] = fault
-        tell(i + 1, len(result.done))
+        notify(i + 1, len(result.done))
     missing = len(result.wanted) - len(result.done)
     notes = (f"{missing} frames between the first and the last have not been decoded",) if missing > 0 else ()
     return Verified(location, len(result.done) - len(faults), faults, notes)
 
 
-def _verify_recording(path: Path, tell: Tell) -> Verified:
+def _verify_recording(path: Path, notify: Notify) -> Verified:
     """Read every frame of a recording, or of other footage."""
     faults = {}
     with open_footage(path) as source:
         for frame in source.frames():
             if isinstance(frame, BadFrame):
                 faults[frame.number] = frame.reason
-            tell(frame.number + 1, len(source))
+            notify(frame.number + 1, len(source))
         return Verified(str(path), len(source) - len(faults), faults, source.notes)
 
 

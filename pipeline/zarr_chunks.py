@@ -32,7 +32,7 @@ def chunk_codecs(level: int | None) -> list[Any]:
 
 
 def chunk_key(number: int, n_axes: int) -> str:
-    """Return the name of a frame's chunk, in an array of `n_axes` axes beside the frames'."""
+    """Return the name of a frame's chunk, in an array of `n_axes` axes in addition to the frames'."""
     return f"c.{number}" + ".0" * n_axes
 
 
@@ -57,7 +57,7 @@ def decode_chunk(chunk: bytes, dtype: npt.DTypeLike, shape: tuple[int, ...]) -> 
         It is not as it was written.
     """
     content = without_checksum(chunk)
-    # A chunk of blosc says at its fifth byte how long its content is, and at its thirteenth how long it is itself.
+    # A chunk of blosc states the length of its content at its fifth byte, and its own length at its thirteenth.
     if int.from_bytes(content[4:8], "little") != np.dtype(dtype).itemsize * math.prod(shape):
         raise DamageError("it holds another number of values")
     if int.from_bytes(content[12:16], "little") != len(content):
@@ -65,7 +65,7 @@ def decode_chunk(chunk: bytes, dtype: npt.DTypeLike, shape: tuple[int, ...]) -> 
     values = np.empty(shape, np.dtype(dtype).newbyteorder("<"))
     try:
         _compressor(1).decode(content, values)
-    except (RuntimeError, ValueError) as error:  # what blosc makes of what it has not written
+    except (RuntimeError, ValueError) as error:  # blosc's errors on what it has not written
         raise DamageError(str(error)) from None
     return values.astype(np.dtype(dtype), copy=False)
 

@@ -35,7 +35,7 @@ def cluster_executor(job: Job, address: str) -> Iterator[Executor]:
     Parameters
     ----------
     job : Job
-        What to decode and how; its store must be there.
+        The job; its store must exist.
     address : str
         Of the scheduler.
 
@@ -87,7 +87,7 @@ class _ClusterExecutor:
 
 
 def _check_address(address: str) -> None:
-    """Refuse an address where nobody is: Dask would look for it for a minute, and Ctrl-C would not end that."""
+    """Refuse an address that does not respond: Dask would try it for a minute, and Ctrl-C would not end that."""
     try:
         parts = urlsplit(address)
         there = bool(parts.hostname and parts.port)
@@ -127,7 +127,7 @@ def _client(address: str) -> Iterator[tuple[Any, Any]]:
     with distributed.utils.silence_logging_cmgr(logging.CRITICAL):
         try:
             asyncio.run(_shake_hands(address))
-        except (Exception, CancelledError):  # whatever Dask makes of another protocol
+        except (Exception, CancelledError):  # any error of Dask's on another protocol
             raise ClusterError(
                 f"what listens at {address} is no Dask scheduler, or one that does not know us: give the scheduler's "
                 "address, and for tls:// the certificates of docs/video.md"

@@ -1,7 +1,7 @@
-"""Who decodes chains of frames, and how many at a time: processes on this machine; `cluster` has Dask's.
+"""Executors of chains of frames, and the number of workers: processes on this machine; `cluster` has Dask's.
 
-The kernels' languages keep the interpreter to themselves while a kernel runs, and share its work out over the cores
-many times a frame. Processes of one kernel thread each do neither: two of them decode half as many frames again as
+The kernels' languages keep the interpreter to themselves while a kernel runs, and distribute its work over the cores
+many times per frame. Processes of one kernel thread each do neither: two of them decode half as many frames again as
 one process on two cores does.
 """
 
@@ -23,7 +23,7 @@ Report = Callable[[Outcome], None]
 
 # Tasks a worker: more of them even out the time that each takes, fewer let footage be read in one go.
 _TASKS_A_WORKER = 8
-# Between two looks at whether a worker is silent for too long, or none is left.
+# Between two checks whether a worker is silent for too long, or none is left.
 _LOOK_S = 1.0
 # Time that a process may take to start, and then for one frame: kernels are compiled for the first.
 _SILENT_S = 180.0
@@ -45,7 +45,7 @@ class Executor(Protocol):
         """See, where nothing has been heard for a while, whether something still works."""
 
 
-def decode_by(executor: Executor, todo: Sequence[Chain], tell: Report) -> None:
+def decode_by(executor: Executor, todo: Sequence[Chain], notify: Report) -> None:
     """Decode chains of frames by an executor; see `Worker.decode`.
 
     Parameters
@@ -54,8 +54,8 @@ def decode_by(executor: Executor, todo: Sequence[Chain], tell: Report) -> None:
         Its workers have the job.
     todo : sequence of (range, frozenset)
         The chains: frames of which each is decoded with the one before, and which of them are to be stored.
-    tell : callable
-        Told of every stored and every bad frame, in this thread, not in order.
+    notify : callable
+        Called with every stored and every bad frame, in this thread, not in order.
     """
     size = -(-len(todo) // (_TASKS_A_WORKER * executor.n_workers))
     tasks = [list(todo[first : first + size]) for first in range(0, len(todo), size)]
@@ -72,20 +72,20 @@ def decode_by(executor: Executor, todo: Sequence[Chain], tell: Report) -> None:
         if isinstance(message, Future):
             running -= 1
         for outcome in message.result() if isinstance(message, Future) else (message,):
-            tell(outcome)
+            notify(outcome)
 
 
 class ProcessExecutor:
     """Processes on this machine, each with a decoder of its own and its share of the cores to itself.
 
-    Where one dies another one takes its place, and its frames are done again.
+    If one dies, another one takes its place, and its frames are done again.
 
     Parameters
     ----------
     job : Job
-        What to decode and how; its store must be there.
+        The job; its store must exist.
     count : int
-        How many.
+        Their number.
     """
 
     def __init__(self, job: Job, count: int) -> None:
@@ -100,7 +100,7 @@ class ProcessExecutor:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """End the processes, after an error whatever they are at: what they have stored is whole."""
+        """End the processes, after an error whatever they are at: what they have stored is complete."""
         try:
             if kind is None:  # each keeps the kernels that it has compiled on the disk
                 list(self._threads.map(_Place.end, self._places))
@@ -117,7 +117,7 @@ class ProcessExecutor:
         return self._threads.submit(self._decode, task, report)
 
     def look(self) -> None:
-        """End processes that have said nothing for too long; then their frames are done again."""
+        """End processes that have been silent for too long; then their frames are done again."""
         for place in self._places:
             place.end_if_silent()
 
@@ -237,7 +237,7 @@ def worthwhile_processes(job: Job, todo: Sequence[Chain]) -> int:
 
 
 def idle_processes(job: Job, todo: Sequence[Chain], count: int) -> str | None:
-    """Say that so many processes are more than help, and how many do; None: each of them helps."""
+    """Warn about more processes than help, and state how many do; None: each of them helps."""
     n_cores = len(usable_cores())
     if count > 1 and _on_gpu(job):
         return f"note: --workers {count}: one GPU does all the work, and --workers 1 is as fast"

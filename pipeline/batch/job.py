@@ -1,4 +1,4 @@
-"""What is to be decoded and how: all that a process needs in order to do some of it, the same everywhere."""
+"""A decoding job: all that a process needs in order to do a part of it, the same everywhere."""
 
 import hashlib
 import math
@@ -34,7 +34,7 @@ from tikernels.raw.pixel_format import PixelFormat
 #: Frames a chain. In a chain each frame is decoded with the one before, the first one without: so a missing frame is
 #: decoded anew from the beginning of its chain.
 CHAIN_FRAMES = 64
-# Frames, evenly spaced, that are asked for the light before it counts as unknown, and which side is in front.
+# Frames, evenly spaced, that are checked for the light before it counts as unknown, and for the side in front.
 _MOST_ASKED, _ASKED_FOR_SIDE = 64, 16
 # The digest of a file that cannot be read, or may be another one by now.
 _UNKNOWN = bytes(16)
@@ -87,11 +87,11 @@ class Crop:
 
 @dataclass(frozen=True)
 class Learnt:
-    """What footage tells of itself before its frames are decoded for good."""
+    """Properties of footage that are estimated before its frames are decoded for good."""
 
     state: RigState = field(default_factory=RigState)
     notes: tuple[str, ...] = ()  # what the user should know of the light and of a code that frames show
-    frame_bytes: int | None = None  # what the last frame that was asked takes in the store; None: none can be decoded
+    frame_bytes: int | None = None  # of the last frame that was checked, in the store; None: none can be decoded
 
 
 _NOTHING = Learnt()
@@ -139,8 +139,8 @@ class Job:
     def pinned(self, source: Footage) -> "Job":
         """Return the same for the footage as it is now: which pictures, what they hold, and how light is encoded.
 
-        All of it is read. The light is the footage's word where nobody knows better; the calibration is that of the
-        part of the sensor that frames are.
+        All of it is read. The light is encoded as the footage states where neither settings nor calibration do; the
+        calibration is that of the part of the sensor that frames are.
         """
         files = source.files()
         most_bytes = BYTES_A_PIXEL * max_pixels() if len(files) > 1 else math.inf  # a longer picture is bad
@@ -236,7 +236,7 @@ class Job:
         return self.calibration.cropped(self.crop.x, self.crop.y, (self.crop.width, self.crop.height))
 
     def develop(self, stored: StoredFrame, out: LevelsImage | None) -> LevelsImage:
-        """Return what is decoded of a frame, as RGB, in a buffer that can be handed in as `out` again."""
+        """Return what is decoded of a frame, as RGB, in a buffer that can be passed as `out` again."""
         planes, format = stored.planes, stored.format
         if self.crop is not None:
             planes, format = self.crop.of(planes, format)
@@ -264,21 +264,21 @@ class Job:
             known = "light" not in decoder.state.asks
             try:
                 with warnings.catch_warnings():
-                    warnings.simplefilter("ignore", DecodeWarning)  # its frame is decoded again, and then says it
+                    warnings.simplefilter("ignore", DecodeWarning)  # its frame is decoded again, and then warns
                     frame = decoder.decode(self.develop(stored, None))
             except FootageError:
                 continue
-            told = decoder.state
-            state = replace(state, rims=told.rims)
+            estimated = decoder.state
+            state = replace(state, rims=estimated.rims)
             size = frame_bytes(frame, self.fields)
             if frame.period_px is not None and "code" in state.asks:
-                state = replace(state, code=told.code, asks=state.asks - {"code"})
+                state = replace(state, code=estimated.code, asks=state.asks - {"code"})
                 notes = tuple(note for note in frame.warnings if note == CODE_SHOWN)
-            tells_light = known or (told.light is not None and told.light.reliable)
-            if frame.period_px is not None and tells_light and "light" in state.asks:
-                state = replace(state, light=told.light, asks=state.asks - {"light"})
+            shows_light = known or (estimated.light is not None and estimated.light.reliable)
+            if frame.period_px is not None and shows_light and "light" in state.asks:
+                state = replace(state, light=estimated.light, asks=state.asks - {"light"})
                 notes += tuple(note for note in frame.warnings if note not in notes)
-            if "light" not in state.asks and "rims" not in told.asks:
+            if "light" not in state.asks and "rims" not in estimated.asks:
                 break
         return Learnt(state, notes, size)
 

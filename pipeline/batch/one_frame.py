@@ -34,10 +34,10 @@ def decode_picture(
     part: MeshOptions | None,
     *,
     force: bool,
-    tell: Callable[[str], None],
+    notify: Callable[[str], None],
     remark: Callable[[str], None] = lambda line: None,
 ) -> tuple[DecodedFrame, tuple[str, ...]]:
-    """Decode a picture, and write all that a single frame gives.
+    """Decode a picture, and write all results of a single frame.
 
     Parameters
     ----------
@@ -46,28 +46,28 @@ def decode_picture(
     out : str or Path
         Output folder.
     settings : DecodeSettings
-        How to decode it.
+        Settings of the decoding.
     calibration : Calibration or None
         The rig.
     stored_as : StoredAs
-        What is known of its pixels that the file does not say.
+        Properties of its pixels that the file does not state.
     arch : str
-        Where to compute.
+        The device.
     part : MeshOptions or None
-        What becomes of it in its mesh; None: it gets none.
+        Options of its mesh; None: no mesh.
     force : bool
-        Whether the folder may hold other things.
-    tell : callable
-        Hears what is being done.
+        True if the folder may hold other things.
+    notify : callable
+        Called with each step.
     remark : callable
-        Hears what the user should know before it is written.
+        Called with each line that the user should know before it is written.
 
     Returns
     -------
     DecodedFrame
-        What is written.
+        The frame that is written.
     tuple of str
-        What of the file is not used, for the user.
+        Notes about content of the file that is not used.
 
     Raises
     ------
@@ -79,34 +79,34 @@ def decode_picture(
         See `Decoder`.
     """
     with output_folder(out, force=force) as folder:
-        tell("reading")
+        notify("reading")
         source = open_footage(picture, **vars(stored_as))
         settings, transfer_because = with_transfer_of(source, settings, calibration)
         (stored,) = source.frames()
         if isinstance(stored, BadFrame):
             raise FootageError(stored.reason)
-        tell("compiling kernels, and decoding {}x{} px".format(*source.size_px))
+        notify("compiling kernels, and decoding {}x{} px".format(*source.size_px))
         decoder = Decoder(settings, calibration, arch=arch)
         frame = decoder.decode(develop(stored.planes, stored.format, stripes=settings.stripes))
-        if not frame.mask.any():  # a warning has said why
+        if not frame.mask.any():  # a warning states why
             raise FootageError(f"nothing was measured in {picture.name}, so nothing is written")
         report = frame_report(frame, picture.name)
         report["transfer_because"] = transfer_because
-        write_frame(folder, frame, report, part, tell, remark)
-        tell(f"moving all into {out}")
+        write_frame(folder, frame, report, part, notify, remark)
+        notify(f"moving all into {out}")
     return frame, source.notes
 
 
 @dataclass(frozen=True)
 class SimulatedResult:
-    """What a simulated frame gave."""
+    """Results of a simulated frame."""
 
     measured: dict[str, float | int]  # against the truth; see `measure_against_truth`
     picture: Path  # of the surface
     notes: tuple[str, ...]
 
 
-def decode_simulated(out: Path, arch: str, *, force: bool, tell: Callable[[str], None]) -> SimulatedResult:
+def decode_simulated(out: Path, arch: str, *, force: bool, notify: Callable[[str], None]) -> SimulatedResult:
     """Simulate a frame of a bust, decode it with the calibration that the rig has found itself, draw and measure it.
 
     Parameters
@@ -114,11 +114,11 @@ def decode_simulated(out: Path, arch: str, *, force: bool, tell: Callable[[str],
     out : Path
         Output folder.
     arch : str
-        Where to compute.
+        The device.
     force : bool
-        Whether the folder may hold other things.
-    tell : callable
-        Hears what is being done.
+        True if the folder may hold other things.
+    notify : callable
+        Called with each step.
 
     Raises
     ------
@@ -129,23 +129,23 @@ def decode_simulated(out: Path, arch: str, *, force: bool, tell: Callable[[str],
     """
     notes: tuple[str, ...] = ()
     with output_folder(out, force=force) as folder:
-        tell("simulating one colour frame")
+        notify("simulating one colour frame")
         runtime.init(arch)
         # As a camera and a projector see it: pixels with an area, and a lens that blurs.
         simulation = SimulationSettings(pixel_rays=3, projector_blur_px=(0.6, 0.6, 0.6))
         truth = simulate_frame(simulated_truth(), simulation)
         calibration = own_calibration()
-        tell("decoding it")
+        notify("decoding it")
         settings = DecodeSettings()
         frame = Decoder(settings, calibration, arch=arch).decode(truth.image)
-        tell("measuring it")
+        notify("measuring it")
         measured = measure_against_truth(frame, truth)
         report = {**frame_report(frame, "simulated bust"), "against_truth": measured}
         write_png(folder / "frame.png", np.asarray(truth.image, np.uint8))
         calibration.write(folder / "calibration.json")
-        write_frame(folder, frame, report, tell=tell)
+        write_frame(folder, frame, report, notify=notify)
         picture = out / "render.png"
-        tell("drawing the mesh")
+        notify("drawing the mesh")
         try:
             render_mesh(frame_mesh(frame), folder / "render.png")
         except RenderError as error:

@@ -40,7 +40,7 @@ _log = logging.getLogger("colorphase.batch")
 
 @dataclass
 class DecodeSummary:
-    """What a run has done.
+    """Summary of a run.
 
     Examples
     --------
@@ -53,7 +53,7 @@ class DecodeSummary:
     (2, 0, [])
     """
 
-    n_frames: int  # asked for
+    n_frames: int  # requested
     n_before: int  # of them were done already
     bad: list[BadFrame] = field(default_factory=list)
     warned: dict[int, tuple[str, ...]] = field(default_factory=dict)  # by number, in order
@@ -63,12 +63,12 @@ class DecodeSummary:
 
 
 class Stopped(KeyboardInterrupt):
-    """The user has stopped the run; the message says how to go on."""
+    """The user has stopped the run; the message states how to continue."""
 
 
 @dataclass(frozen=True)
 class DecodeProgress:
-    """How far a run has come, as its `progress` hears of each change.
+    """Progress of a run, as passed to its `progress` at each change.
 
     Examples
     --------
@@ -87,9 +87,9 @@ class DecodeProgress:
     """Frames, those included that an earlier run has decoded."""
     of: int = 0
     doing: str = ""
-    """What is being done, and how large the store will be, by the frames that are in it."""
+    """The current step, and the expected size of the store by the frames that are in it."""
     remark: str | None = None
-    """What the user should know, said once."""
+    """A line that the user should know, sent once."""
 
 
 def decode_footage(
@@ -111,7 +111,7 @@ def decode_footage(
     force: bool = False,
     progress: Callable[[DecodeProgress], None] = lambda progress: None,
 ) -> DecodeSummary:
-    """Decode footage into ``out/result.zarr``, as ``colorphase decode`` does; run again, it goes on where it stopped.
+    """Decode footage into ``out/result.zarr``, as ``colorphase decode`` does; run again, it continues where it stopped.
 
     A script needs the guard ``if __name__ == "__main__"``, as for every process that `multiprocessing` spawns, unless
     `workers` is 1.
@@ -123,36 +123,36 @@ def decode_footage(
     out : str or Path
         Folder for the result, or an fsspec URL.
     settings : DecodeSettings, optional
-        How to decode; where they do not say how light is encoded, the calibration or the footage does.
+        Settings of the decoding; where they do not state how light is encoded, the calibration or the footage does.
     calibration : Calibration, optional
         The rig; with it, results are in mm.
     fields : sequence of str, optional
-        What to store, ``["all"]`` for all; left out, mask, phase_sigma, absolute and points, or range_image without a
-        calibration.
+        The fields to store, ``["all"]`` for all; if omitted, mask, phase_sigma, absolute and points, or range_image
+        without a calibration.
     start, stop, step : int
-        Which frames, as of a slice.
+        The frames, as of a slice.
     crop : Crop, optional
         The part of each frame that is decoded.
     on_bad : {"skip", "raise"}
-        Whether a damaged frame is left out, and named in what is returned, or ends the run.
+        Skip a damaged frame and list it in the summary, or end the run.
     workers : int, optional
-        In how many processes to decode here; 1: in this one. Left out, long footage is decoded in one for each core,
-        but in this one where a GPU computes.
+        Number of processes here; 1: only this one. If omitted, one per core for long footage, but only this one on a
+        GPU.
     cluster : str, optional
         Address of a Dask scheduler, ``tcp://...``, whose workers see footage and store under the same names.
     arch : {"auto", "cpu", "vulkan", "cuda", "metal"}
-        Where to compute; a named one never falls back.
+        The device; a named one never falls back.
     stored_as : StoredAs
-        What is known of its pixels that the footage does not say.
+        Properties of its pixels that the footage does not state.
     force : bool
-        Whether the folder may hold other things.
+        True if the folder may hold other things.
     progress : callable
-        Hears a `DecodeProgress` at each change.
+        Called with a `DecodeProgress` at each change.
 
     Returns
     -------
     DecodeSummary
-        Which frames are bad, and which come with a warning. `StoredResult` opens the result.
+        Bad frames, and those with a warning. `StoredResult` opens the result.
 
     Raises
     ------
@@ -204,7 +204,7 @@ def decode_footage(
         strict=on_bad == "raise",
         workers=workers,
         cluster=cluster,
-        tell=lambda done, of: report(done=done, of=of),
+        notify=lambda done, of: report(done=done, of=of),
         step=lambda what: report(doing=what),
         remark=lambda line: report(remark=line),
     )
@@ -225,7 +225,7 @@ def decode_job(
     strict: bool = False,
     workers: int | None = None,
     cluster: str | None = None,
-    tell: Callable[[int, int], None] = lambda done, of: None,
+    notify: Callable[[int, int], None] = lambda done, of: None,
     step: Callable[[str], None] = lambda what: None,
     remark: Callable[[str], None] = lambda line: None,
 ) -> DecodeSummary:
@@ -234,28 +234,28 @@ def decode_job(
     Parameters
     ----------
     job : Job
-        What to decode, how, and where to.
+        The job.
     start, stop : int
-        Which frames: from `start` on, in steps of `job.step`, below `stop`.
+        The frames: from `start` on, in steps of `job.step`, below `stop`.
     strict : bool
-        Whether a bad frame ends the run, instead of being left out.
+        True if a bad frame ends the run, instead of being skipped.
     workers : int, optional
-        In how many processes to decode here; 1: in this one. Left out, long footage is decoded in one for each core,
-        but in this one where a GPU computes.
+        Number of processes here; 1: only this one. If omitted, one per core for long footage, but only this one on a
+        GPU.
     cluster : str, optional
         Address of a Dask scheduler, ``tcp://...``, whose workers see footage and store under the same names.
-    tell : callable
-        Told how many frames are done, and of how many.
+    notify : callable
+        Called with the number of frames done and of all.
     step : callable
-        Told what is being done, and how large the store will be, by the frames that are in it.
+        Called with the current step, and the expected size of the store by the frames that are in it.
     remark : callable
-        Told what the user should know before frames are decoded: how large the store will be, or that processes are
-        more than help.
+        Called with each line that the user should know before frames are decoded: the size of the store, or that there
+        are more processes than help.
 
     Returns
     -------
     DecodeSummary
-        Which frames are bad, and which come with a warning.
+        Bad frames, and those with a warning.
 
     Raises
     ------
@@ -274,8 +274,8 @@ def decode_job(
         step("reading the footage")
         job = job.pinned(source)
         with _one_writer(job.store):
-            telling = _Telling(tell, step, remark)
-            return _decode_missing(job, source, wanted, telling, strict=strict, workers=workers, cluster=cluster)
+            listeners = _Listeners(notify, step, remark)
+            return _decode_missing(job, source, wanted, listeners, strict=strict, workers=workers, cluster=cluster)
 
 
 @contextmanager
@@ -296,15 +296,15 @@ def _decode_missing(
     job: Job,
     source: Footage,
     wanted: range,
-    telling: "_Telling",
+    listeners: "_Listeners",
     *,
     strict: bool,
     workers: int | None,
     cluster: str | None,
 ) -> DecodeSummary:
     """Decode the frames that are missing, or damaged, in a store that nobody else writes to."""
-    telling.step("looking at what is there")
-    store, notes, size = _ready_store(job, source, wanted, telling, workers=workers, cluster=cluster)
+    listeners.step("checking what is there")
+    store, notes, size = _ready_store(job, source, wanted, listeners, workers=workers, cluster=cluster)
     there = store.done() & set(wanted)
     damaged = store.faults(there, job.made_of)
     store.unmark(damaged)
@@ -313,7 +313,7 @@ def _decode_missing(
     done, stored = summary.n_before, set[int]()
     if size is None:
         size = _forecast(job, source, len(missing), mean_frame_bytes(job.store, job.fields))
-        telling.remark_if(size.check())
+        listeners.remark_if(size.check())
 
     def note(report: Outcome) -> None:
         nonlocal done
@@ -325,19 +325,19 @@ def _decode_missing(
         else:
             stored.add(report.number)
             expected = size.corrected_by(report.n_bytes)
-            telling.step("decoding" if expected is None else f"decoding to about {expected}")
+            listeners.step("decoding" if expected is None else f"decoding to about {expected}")
             if report.warnings:
                 summary.warned[report.number] = report.warnings
         done += 1
-        telling.tell(done, summary.n_frames)
+        listeners.notify(done, summary.n_frames)
 
     for number, fault in damaged.items():
         _log.warning("frame %d of %s is decoded again: %s", number, job.store, fault)
     _log.info("decoding %d of %d frames of %s into %s", len(missing), len(wanted), source.name, job.store)
-    telling.tell(done, summary.n_frames)
+    listeners.notify(done, summary.n_frames)
     todo: list[Chain] = list(chains(wanted, missing))
     try:
-        _decode_chains(job, todo, workers, cluster, note, telling)
+        _decode_chains(job, todo, workers, cluster, note, listeners)
     except KeyboardInterrupt:
         store.remove_leftovers()
         n_done = len(set(wanted) & store.done())
@@ -354,28 +354,26 @@ def _decode_missing(
 
 
 def _wanted(source: Footage, start: int, stop: int | None, step: int) -> range:
-    """Return the numbers of the frames that are asked for; refuse none."""
+    """Return the numbers of the requested frames; refuse an empty selection."""
     wanted = range(len(source))[start:stop:step]
     if not wanted:
-        raise SettingsError(
-            f"{source.name} has {len(source)} frames, none of which is asked for: look at --start, --stop"
-        )
+        raise SettingsError(f"{source.name} has {len(source)} frames, none of which is selected: check --start, --stop")
     return wanted
 
 
 def _ready_store(
-    job: Job, source: Footage, wanted: range, telling: "_Telling", *, workers: int | None, cluster: str | None
+    job: Job, source: Footage, wanted: range, listeners: "_Listeners", *, workers: int | None, cluster: str | None
 ) -> tuple[ResultStore, tuple[str, ...], SizeForecast | None]:
-    """Open the store, a new one with what the footage tells of itself, and only if its disk has room for it.
+    """Open the store, a new one with the properties of the footage, and only if its disk has room for it.
 
     Returns
     -------
     ResultStore
         The store.
     tuple of str
-        What the user should know.
+        Lines for the user.
     SizeForecast or None
-        How large a new store will be, which has been told.
+        Expected size of a new store, which has been reported.
     """
     notes, learnt, size = source.notes, Learnt(), None
     taken = job.settings.transfer  # None: a curve that the calibration has measured
@@ -390,12 +388,12 @@ def _ready_store(
     except DamageError as error:
         there, damaged, notes = False, True, (*notes, f"{error}; it is written anew")
     if not there:
-        telling.step("compiling kernels, and asking the footage for its light")
+        listeners.step("compiling kernels, and estimating the footage's light")
         with _kernels_to_share(job, wanted, workers, cluster):
             learnt = job.learn(source)
         if not damaged:  # else there may be frames
             size = _forecast(job, source, len(wanted), learnt.frame_bytes)
-            telling.remark_if(size.check())
+            listeners.remark_if(size.check())
     store = job.make_store(source, learnt)
     store.remove_leftovers()
     return store, (*notes, *learnt.notes), size
@@ -405,7 +403,7 @@ def _ready_store(
 def _kernels_to_share(job: Job, wanted: range, workers: int | None, cluster: str | None) -> Iterator[None]:
     """Compile the body's kernels in such a way that the processes that decode afterwards find them on the disk.
 
-    What a process compiles is of use to those with as many threads a kernel, and is written when its device ends. A
+    What a process compiles is of use to those with as many threads per kernel, and is written when its device ends. A
     device that the caller has started is left alone.
     """
     started_here = not runtime.is_started()
@@ -426,15 +424,15 @@ def _forecast(job: Job, source: Footage, n_frames: int, frame_bytes: float | Non
 
 
 @dataclass(frozen=True)
-class _Telling:
-    """Whom a run tells what; see `decode_footage`."""
+class _Listeners:
+    """Callbacks of a run; see `decode_footage`."""
 
-    tell: Callable[[int, int], None]
+    notify: Callable[[int, int], None]
     step: Callable[[str], None]
     remark: Callable[[str], None]
 
     def remark_if(self, line: str | None) -> None:
-        """Tell a line, if there is one."""
+        """Report a line, if there is one."""
         if line is not None:
             self.remark(line)
 
@@ -445,7 +443,7 @@ def _decode_chains(
     workers: int | None,
     cluster: str | None,
     note: Callable[[Outcome], None],
-    telling: _Telling,
+    listeners: _Listeners,
 ) -> None:
     """Decode chains of frames: on a scheduler's workers, in processes that are started here, or in this one."""
     if not todo:
@@ -453,16 +451,16 @@ def _decode_chains(
     if cluster is not None:
         from pipeline.batch.cluster import cluster_executor  # slow to import, and of the extra `cluster`
 
-        telling.step("waiting for the cluster's first frame")
+        listeners.step("waiting for the cluster's first frame")
         with cluster_executor(job, cluster) as workers_there:
             decode_by(workers_there, todo, note)
         return
     count = worthwhile_processes(job, todo) if workers is None else workers
-    telling.remark_if(None if workers is None else idle_processes(job, todo, workers))
+    listeners.remark_if(None if workers is None else idle_processes(job, todo, workers))
     if count > 1:
-        telling.step("starting processes, which compile their kernels")
+        listeners.step("starting processes, which compile their kernels")
         with ProcessExecutor(job, min(count, len(todo))) as processes:
             decode_by(processes, todo, note)
     else:
-        telling.step("compiling kernels")
+        listeners.step("compiling kernels")
         Worker(job).decode(todo, note)

@@ -49,7 +49,7 @@ class Worker:
     Parameters
     ----------
     job : Job
-        What to decode and how.
+        The job.
 
     Raises
     ------
@@ -70,7 +70,7 @@ class Worker:
         self._image = runtime.empty((height, width, 3), self._source.format.rgb_dtype)
         self._results = [_Result() for _ in range(_RESULTS)]
 
-    def decode(self, todo: Sequence[Chain], tell: Callable[[Outcome], None]) -> None:
+    def decode(self, todo: Sequence[Chain], notify: Callable[[Outcome], None]) -> None:
         """Decode ranges of frames, each by itself, and store those that are missing.
 
         Parameters
@@ -78,13 +78,14 @@ class Worker:
         todo : sequence of (range, frozenset)
             The chains: frames of which each is decoded with the one before, and which of them are to be stored; see
             `chains`.
-        tell : callable
-            Told of every stored and every bad frame, of a bad one sooner than of those that are still being written.
+        notify : callable
+            Called with every stored and every bad frame, with a bad one sooner than with those that are still being
+            written.
 
         Raises
         ------
         OutputError
-            The store cannot be written; what has been told of stays.
+            The store cannot be written; reported frames stay.
         """
         starts = {numbers.start for numbers, _ in todo}
         missing = frozenset().union(*(lacking for _, lacking in todo))
@@ -95,8 +96,8 @@ class Worker:
             ThreadPoolExecutor(_WRITERS, "write") as writers,
             warnings.catch_warnings(),
         ):
-            warnings.simplefilter("ignore", DecodeWarning)  # they are stored, and told
-            marks = _Marks(self._store, writers, tell)
+            warnings.simplefilter("ignore", DecodeWarning)  # they are stored, and reported
+            marks = _Marks(self._store, writers, notify)
             try:
                 for stored in frames:
                     for earlier in self._results:
@@ -110,7 +111,7 @@ class Worker:
                         frame = self._decode(stored, previous, result.frame)
                     except FootageError as error:
                         if stored.number in missing:
-                            tell(BadFrame(stored.number, str(error)))
+                            notify(BadFrame(stored.number, str(error)))
                         continue
                     previous = result.frame = frame
                     turn += 1
@@ -171,35 +172,35 @@ class _Result:
 
 
 class _Marks:
-    """Mark the frames that are written, some at a time, and tell of them then; from one thread."""
+    """Mark the frames that are written, some at a time, then report them; from one thread."""
 
-    def __init__(self, store: ResultStore, writers: ThreadPoolExecutor, tell: Callable[[Outcome], None]) -> None:
-        self._store, self._writers, self._tell = store, writers, tell
+    def __init__(self, store: ResultStore, writers: ThreadPoolExecutor, notify: Callable[[Outcome], None]) -> None:
+        self._store, self._writers, self._notify = store, writers, notify
         self._written: list[WrittenFrame] = []
-        self._told: list[GoodFrame] = []  # of those that are written, in their order
+        self._unreported: list[GoodFrame] = []  # of those that are written, in their order
         self._at_s = time.monotonic()
         self._in_hand: deque[tuple[Future[None], list[GoodFrame]]] = deque()
 
     def add(self, frame: WrittenFrame, warnings: tuple[str, ...]) -> None:
         """Have a frame marked, soon."""
         self._written.append(frame)
-        self._told.append(GoodFrame(frame.number, warnings, frame.n_bytes))
+        self._unreported.append(GoodFrame(frame.number, warnings, frame.n_bytes))
 
     def look(self) -> None:
-        """Mark what is written, if it is time for that, and tell of what is marked."""
+        """Mark what is written, if it is time for that, and report it."""
         if time.monotonic() - self._at_s >= _COMMIT_S:
             self._commit()
         while self._in_hand and self._in_hand[0][0].done():
-            self._tell_first()
+            self._report_first()
 
     def finish(self) -> None:
-        """Return when all are marked, and told of."""
+        """Return when all are marked and reported."""
         self._commit()
         while self._in_hand:
-            self._tell_first()
+            self._report_first()
 
     def save(self, more: Iterable[WrittenFrame]) -> None:
-        """Mark all that is written, and what is added; nobody is told."""
+        """Mark all that is written, and what is added, without reporting it."""
         wait([future for future, _ in self._in_hand])
         if remaining := [*self._written, *more]:
             self._store.commit(remaining)
@@ -207,15 +208,15 @@ class _Marks:
 
     def _commit(self) -> None:
         if self._written:
-            self._in_hand.append((self._writers.submit(self._store.commit, self._written), self._told))
-        self._written, self._told = [], []
+            self._in_hand.append((self._writers.submit(self._store.commit, self._written), self._unreported))
+        self._written, self._unreported = [], []
         self._at_s = time.monotonic()
 
-    def _tell_first(self) -> None:
+    def _report_first(self) -> None:
         committed, frames = self._in_hand.popleft()
         committed.result()
         for frame in frames:
-            self._tell(frame)
+            self._notify(frame)
 
 
 @contextmanager

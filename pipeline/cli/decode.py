@@ -158,7 +158,7 @@ def decode(
     options = part.options() if mesh else None
     with steps() as step:
         frame, notes = decode_picture(
-            input, out, how, rig, stored_as, arch, options, force=force, tell=step, remark=remark
+            input, out, how, rig, stored_as, arch, options, force=force, notify=step, remark=remark
         )
     for note in notes:
         remark(f"note: {note}")

@@ -20,7 +20,7 @@ def demo(*, out: Path = Path("colorphase-demo"), arch: Arch = "auto", force: Int
     from pipeline.batch.one_frame import decode_simulated
 
     with steps() as step:
-        done = decode_simulated(out, arch, force=force, tell=step)
+        done = decode_simulated(out, arch, force=force, notify=step)
     _show(done.measured)
     for note in done.notes:
         remark(f"note: {note}")

@@ -276,7 +276,7 @@ def _render_film(
 
     frame = None if isinstance(subject, Mesh) else number
     with counted("pictures") as show:
-        film = render_film(subject, out, options, frame=frame, compared=compared, tell=show, remark=remark)
+        film = render_film(subject, out, options, frame=frame, compared=compared, notify=show, remark=remark)
     absent = [held for held in film.held if held not in film.broken]
     if absent:
         remark(f"{frames(len(absent))} missing or empty, as frame {absent[0]}: the one before is shown in its place")

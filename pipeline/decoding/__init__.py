@@ -1,4 +1,4 @@
-"""What the decoder knows and gives: the light, its buffers, the decoded frame."""
+"""State and results of the decoder: the light, its buffers, the decoded frame."""
 
 from typing import TYPE_CHECKING
 

@@ -1,8 +1,8 @@
-"""The buffers that results lie in, and the pool that they come back to when nothing refers to them any more.
+"""The buffers of results, and the pool that they return to when nothing refers to them any more.
 
 A fresh buffer costs the kernel a page fault every 4 KiB: 2.3 ms for a frame of 640x480, where the whole chain takes 19.
 On the CPU the arrays that a user gets are the buffers themselves, and a slice of one may outlive its frame by hours; so
-each array carries a lease as its base, which gives the memory back when the last array that looks at it is gone. On a
+each array carries a lease as its base, which gives the memory back when the last array that refers to it is gone. On a
 GPU users get copies, and buffers come back with the object that holds them.
 """
 
@@ -23,17 +23,17 @@ _MOST_FREE = 2
 
 @dataclass(frozen=True, eq=False)
 class PhaseBuffers:
-    """What is recovered of every pixel by itself; stripes along the rows."""
+    """Results of every pixel by itself; stripes along the rows."""
 
     modulation: F32  # (H, W) grey levels
     precision: F32  # (H, W) 1 / rad^2, before smoothing
-    variance: F32  # (H, W) rad^2, what smoothing makes of one over it
+    variance: F32  # (H, W) rad^2, after smoothing
     misfit: F32  # (H, W) the square of what the model of the channels leaves over, over its variance
 
 
 @dataclass(frozen=True, eq=False)
 class SurfaceBuffers:
-    """What its neighbours add: regions and whole cycles; stripes along the rows."""
+    """Results that depend on neighbours: regions and whole cycles; stripes along the rows."""
 
     unwrapped: F32  # (H, W) rad; NaN outside the mask
     mask: U8  # (H, W)
@@ -46,7 +46,7 @@ G = TypeVar("G", PhaseBuffers, SurfaceBuffers)
 
 
 def clear_buffers(phases: PhaseBuffers, surface: SurfaceBuffers) -> None:
-    """Write what a frame holds in which nothing is measured."""
+    """Write the values of a frame in which nothing is measured."""
     for buffer in (phases.precision, surface.unwrapped, surface.points):
         if buffer is not None:
             buffer.fill(np.nan)
@@ -62,14 +62,14 @@ class BufferPool:
         self._free: _Free = defaultdict(lambda: deque(maxlen=_MOST_FREE))
 
     def lend(self, shape: tuple[int, int], *, points: bool) -> tuple[PhaseBuffers, SurfaceBuffers]:
-        """Return buffers that nobody else writes; their content is arbitrary.
+        """Return buffers for exclusive use; their content is arbitrary.
 
         Parameters
         ----------
         shape : (height, width)
             Of the image with its stripes along the rows.
         points : bool
-            Whether there is room for points.
+            True if there is room for points.
         """
         if shape != self._shape:
             self._shape = shape
@@ -119,7 +119,7 @@ class _Loan:
 
 
 class _Lease:
-    """The base of the arrays that look at a pool's memory: it lives as long as the last of them."""
+    """The base of the arrays that refer to a pool's memory: it lives as long as the last of them."""
 
     def __init__(self, memory: npt.NDArray[Any]) -> None:
         self.__array_interface__ = memory.__array_interface__

@@ -1,4 +1,4 @@
-"""What a frame gives reason to doubt, each in one line that says what to do."""
+"""Warnings about a frame, each in one line that states what to do."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -18,7 +18,7 @@ from tikernels.phase.frame_statistics import COLUMNS, MIN_PERIOD_PX, FrameLevels
 from tikernels.raw.repeated_chroma import RepeatedChroma
 from tikernels.transposing import transpose
 
-#: Said once, by the frame that shows it.
+#: Issued once, by the frame that shows it.
 CODE_SHOWN = Cause(
     "code shown",
     'the frame shows a contrast code, which is used: set code = "none" (--code none) to decode it as plain',
@@ -95,7 +95,7 @@ class Changed(NamedTuple):
     """A frame that was turned over, or whose red and blue were exchanged, decoded as such; None: nothing shows it."""
 
     read: float | None  # share of its surfaces whose code is read
-    mismatch: float | None  # how far its colours are from what the crosstalk makes of them, as a fraction
+    mismatch: float | None  # of its colours from those that the crosstalk predicts, as a fraction
 
 
 def reversed_doubt(changed: dict[Key, Changed]) -> Cause:
@@ -114,7 +114,7 @@ def reversed_doubt(changed: dict[Key, Changed]) -> Cause:
     else:
         key = "reversed" if fits else "reversed for another reason"
         words = _UNDECIDED if fits else _NEITHER
-    return Cause(key, f"the phase runs against the calibrated rig's, so that no depth can be told: {words}")
+    return Cause(key, f"the phase runs against the calibrated rig's, so that no depth can be determined: {words}")
 
 
 def few_pixels_doubt(frame: LinearFrame, levels: FrameLevels, contrast: float, n_measured: int) -> Cause | None:
@@ -139,7 +139,7 @@ def few_pixels_doubt(frame: LinearFrame, levels: FrameLevels, contrast: float, n
 
 
 def over_exposure_doubt(clipped: float) -> Cause | None:
-    """Say that a share of what is lit has a channel at full scale; None: too little of it to matter."""
+    """State that a share of the lit pixels has a channel at full scale; None: too little of it to matter."""
     if clipped < _MOST_CLIPPED:
         return None
     words = f"{clipped:.0%} of what is lit has a colour at full scale, which bends its phase: expose it shorter"
@@ -188,29 +188,29 @@ def light_doubts(
     constant_known: bool,
     code_lost: bool = False,
 ) -> tuple[Cause, ...]:
-    """Say where the light is not as decoding assumes.
+    """State where the light is not as decoding assumes.
 
     Parameters
     ----------
     contrast : float
         The fringe's mean modulation over its mean background.
     mismatch : float
-        How far the channels' fundamentals are from what the crosstalk makes of them, as a fraction.
+        Relative deviation of the channels' fundamentals from those that the crosstalk predicts.
     odd : NoModelFits, optional
         Surfaces whose colours no matrix explains.
     mm_per_rad : callable
-        Returns what a radian is in depth; None without a calibration.
+        Returns the depth of a radian, mm; None without a calibration.
     constant_known : bool
-        Whether the crosstalk is known, so that a mismatch means that it has changed.
+        True if the crosstalk is known, so that a mismatch means that it has changed.
     code_lost : bool
-        Whether the pattern's code could not be read everywhere.
+        True if the pattern's code could not be read everywhere.
     """
     doubts: dict[Key, str] = {}
     if contrast < (CODE_CONTRAST if code_lost else _MIN_CONTRAST):
         doubts["low contrast"] = _LOWERED.format(contrast)
     if constant_known and mismatch > MAX_MISMATCH:
         doubts["other crosstalk"] = (
-            f"the colours' fringes differ by {mismatch:.0%} from what the crosstalk matrix makes of them, and phases "
+            f"the colours' fringes differ by {mismatch:.0%} from the crosstalk matrix's prediction, and phases "
             f"may be off by as much, {_in_depth(mismatch, mm_per_rad)}: colorphase inspect looks at the file, "
             "calibrate check at the rig"
         )
@@ -218,7 +218,7 @@ def light_doubts(
         excluded = "it is not the crosstalk; " if constant_known else ""
         doubts["odd colours"] = (
             f"no matrix explains the colours of {odd.share:.0%} of the surface, {odd.color} above all, where phases "
-            f"may be off by some {_in_depth(odd.phase_rad, mm_per_rad)}. The frame does not tell why: {excluded}other "
+            f"may be off by about {_in_depth(odd.phase_rad, mm_per_rad)}. The frame does not show why: {excluded}other "
             "light, paint that fluoresces, light that scatters, colours of a lower resolution, too fine a print "
             "and another response than the calibrated one (which colorphase calibrate check would show) look like this"
         )

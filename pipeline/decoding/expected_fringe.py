@@ -1,4 +1,4 @@
-"""How fast the phase can change from row to row in a frame of a calibrated rig, and why it does otherwise.
+"""Bounds of the phase's change from row to row in a frame of a calibrated rig, and causes of other changes.
 
 On a surface that camera and projector both see, the projector's rows come in the same order in the camera's picture as
 on the projector, whatever the surface's shape: one that turned them over would show its back to one of the two. A frame
@@ -31,7 +31,7 @@ Bounds = tuple[float, float]
 
 @dataclass(frozen=True)
 class ExpectedFringe:
-    """What a rig's geometry makes of its pattern in the camera's picture.
+    """Periods and slopes that a rig's geometry gives its pattern in the camera's picture.
 
     Attributes
     ----------
@@ -60,15 +60,15 @@ class ExpectedFringe:
         return cls(possible, usual, geometry.pattern.period_px)
 
     def is_reversed(self, rate_rad: float) -> bool:
-        """Whether a frame's usual change from row to row (rad per px) has the other sign than this rig's."""
+        """Return whether a frame's usual change from row to row (rad per px) has the opposite sign to this rig's."""
         return rate_rad * self.possible[0] < 0
 
     def contradiction(self, rate_rad: float, period_px: float) -> Cause | None:
-        """Say why a frame's usual change from row to row and its period are none of this rig's; None: they may be."""
-        return self._beyond(self.possible, rate_rad, period_px, "impossible period", "no depth can be told")
+        """State why a frame's usual change from row to row and its period cannot be this rig's; None: they can."""
+        return self._beyond(self.possible, rate_rad, period_px, "impossible period", "no depth can be determined")
 
     def surprise(self, rate_rad: float, period_px: float) -> Cause | None:
-        """Say that a usual surface of this rig shows another period; None: it shows this one."""
+        """State that a usual surface of this rig shows another period; None: it shows this one."""
         words = "depths are wrong, unless the surface is steep"
         return self._beyond(self.usual, rate_rad, period_px, "unusual period", words)
 

@@ -17,7 +17,7 @@ Floats = npt.NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Rounding:
-    """How the store drops the digits of a field that say nothing, because noise does not compress."""
+    """Rounding of a stored field to its significant digits, because noise does not compress."""
 
     how: str
     apply: Callable[[Floats, float, bool], Floats]  # values, the frame's noise in grey levels, whether ranges are in mm
@@ -34,24 +34,24 @@ _SIGMA_BITS = 7
 
 
 class Field(cached_property[T]):
-    """A field of a frame: a property that is computed when it is first looked at, and what is to be known of it.
+    """A field of a frame: a property that is computed when it is first read, and its description.
 
-    Two threads that look at once may both compute it: they compute the same.
+    Two threads that read it at once may both compute it, with the same result.
 
     Attributes
     ----------
     dtype : str
         NumPy's name of the element type.
     unit : str or None
-        What a value of 1 is; "range": mm with a calibration, rad without; None for labels, flags and counts.
+        Of its values; "range": mm with a calibration, rad without; None for labels, flags and counts.
     axes : tuple of str
-        Names of the axes: ("y", "x"), with "xyz" or "rgb" behind them, or none for one value a frame.
+        Names of the axes: ("y", "x"), with "xyz" or "rgb" behind them, or none for one value per frame.
     meaning : str
         One line.
     needs : tuple of str
-        What of the frame is read from the device for it.
+        Buffers of the frame that are read from the device for it.
     in_mm : bool
-        Whether only a calibrated rig has it.
+        True if only a calibrated rig has it.
     vertex : str or None
         Its name as a property of a mesh's vertices; None: meshes do not carry it.
     rounding : Rounding or None
@@ -72,10 +72,10 @@ class Field(cached_property[T]):
         super().__init__(compute)
         self.dtype, self.unit, self.axes, self.needs = dtype, unit, axes, needs
         self.in_mm, self.vertex, self.rounding = in_mm, vertex, rounding
-        told = (compute.__doc__ or "").strip()
-        self.meaning = told.partition("\n\n")[0]
+        text = (compute.__doc__ or "").strip()
+        self.meaning = text.partition("\n\n")[0]
         shape = {0: "one value", 2: "(H, W)", 3: "(H, W, 3)"}[len(axes)]
-        self.__doc__ = f"{shape} {dtype}: {told}"
+        self.__doc__ = f"{shape} {dtype}: {text}"
 
     def rounded(self, values: npt.NDArray[Any], noise_levels: float, *, in_mm: bool) -> npt.NDArray[Any]:
         """Return a frame's values as the store keeps them.
@@ -87,7 +87,7 @@ class Field(cached_property[T]):
         noise_levels : float
             The frame's noise, grey levels.
         in_mm : bool
-            Whether the frame's ranges are in mm.
+            True if the frame's ranges are in mm.
         """
         return values if self.rounding is None else self.rounding.apply(values, noise_levels, in_mm)
 
@@ -102,12 +102,12 @@ def field(
     vertex: str | None = None,
     rounding: Rounding | None = None,
 ) -> Callable[[Callable[[Any], T]], Field[T]]:
-    """Make an entry of the table of a method that computes a field; its docstring says what the field means."""
+    """Make an entry of the table of a method that computes a field; its docstring defines the field."""
     return lambda compute: Field(compute, dtype, unit, axes, needs, in_mm, vertex, rounding)
 
 
 def fields_of(frame: type) -> dict[str, Field[Any]]:
-    """Return the fields that a class has, by name, in the order in which they stand there."""
+    """Return the fields that a class has, by name, in the order of their definition."""
     return {name: entry for name, entry in vars(frame).items() if isinstance(entry, Field)}
 
 

@@ -1,4 +1,4 @@
-"""What the first look at a frame tells, before its surfaces are known: colours, ambient light, and where there is none.
+"""The first pass over a frame, before its surfaces are known: colours, ambient light and unlit places.
 
 The first look takes all surfaces for neutral. What is seen, over what phases predict, is a surface's colour then.
 """
@@ -39,8 +39,8 @@ _SHARP, _LEAST_SHARE = 0.065, 0.05
 _FILLED = 0.3
 # What all of a frame's light has in common is measured on about this many samples.
 _SAMPLES = 3000
-# A fringe swings by twice its modulation over this part of a cycle, in pixels some ten, whose noise alone swings by
-# less than this many standard deviations.
+# A fringe swings by twice its modulation over this part of a cycle, about ten pixels, whose noise alone swings by less
+# than this many standard deviations.
 _SWING_CYCLES, _SWING_SIGMAS = 0.65, 5.0
 # How far the fringe's change is averaged for its contrast, in nodes.
 _CONTRAST_NODES = 0.7
@@ -58,9 +58,9 @@ class FirstLook:
     model : ChannelModel
         The frame's samples, balanced.
     crosstalk : Crosstalk
-        What they were balanced with.
+        The crosstalk that they were balanced with.
     levels : FrameLevels
-        The frame's noise, and what a pixel needs to have a phase.
+        The frame's noise, and the least of a pixel with a phase.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class FirstLook:
     ratios : (Hn, Wn, 3) float64
         The colour around every one of them; see `color_ratios`.
     lit : (Hn, Wn) bool
-        Which of them tell it.
+        True where the colour is known.
     """
 
     def __init__(
@@ -128,7 +128,7 @@ class FirstLook:
 
     @cached_property
     def contrast(self) -> npt.NDArray[np.float32]:
-        """(Hn, Wn) what the camera's blur leaves of the fringe's contrast around every node, beside the usual.
+        """(Hn, Wn) share of the fringe's contrast that the camera's blur leaves at every node, relative to the usual.
 
         Where a surface turns away the fringe is finer, and blur takes more of it.
         """

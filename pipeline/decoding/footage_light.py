@@ -1,4 +1,4 @@
-"""How the light of footage is encoded: by the settings, the calibration, or the footage itself."""
+"""The encoding of footage's light: by the settings, the calibration, or the footage itself."""
 
 from pipeline.calibration import Calibration
 from pipeline.footage.footage import Footage
@@ -8,7 +8,7 @@ from pipeline.settings import DecodeSettings
 def with_transfer_of(
     source: Footage, settings: DecodeSettings, calibration: Calibration | None
 ) -> tuple[DecodeSettings, str]:
-    """Return settings that say how light is encoded, as they did, by the calibration or by the footage; and by which.
+    """Return settings that state how light is encoded (their own, the calibration's or the footage's), and the source.
 
     Where the calibration has measured a curve of its own, they leave it to that.
     """

@@ -1,4 +1,4 @@
-"""What decoding a frame gives: the fields of every pixel, and what the next frame of a video may know of it."""
+"""Decoded frames: the fields of every pixel, and the state carried to the next frame of a video."""
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -50,7 +50,7 @@ _CYCLE = np.float32(2 * np.pi)
 
 @dataclass(frozen=True, eq=False)
 class CameraRays:
-    """What turns a phase into a point: every camera pixel's ray, and the projector."""
+    """The geometry that turns a phase into a point: every camera pixel's ray, and the projector."""
 
     rays: F32  # (H, W, 2) x and y at unit depth, stripes along the rows
     projector: ProjectorGeometry
@@ -67,7 +67,7 @@ class CameraRays:
 
 @dataclass(frozen=True, eq=False)
 class RegionOrders:
-    """What is known of the orders of a frame's regions; index 0 stands for "no region"."""
+    """Orders of a frame's regions; index 0 means "no region"."""
 
     known: npt.NDArray[np.bool_]  # (regions + 1,) whether they are absolute
     error_probability: Floats  # (regions + 1,) that they are not the absolute ones; NaN for 0
@@ -86,8 +86,8 @@ class FrameMemory:
     stripes: str
     surface: SurfaceBuffers
     orders: RegionOrders
-    surfaces: FoundSurfaces | OnlyColor | None  # what surfaces make of the crosstalk; None: nothing
-    fields: npt.NDArray[np.float64] | None  # see `FieldMotion.shares`; None: nothing is known of the colours' times
+    surfaces: FoundSurfaces | OnlyColor | None  # effect of surfaces on the crosstalk; None: none
+    fields: npt.NDArray[np.float64] | None  # see `FieldMotion.shares`; None: the colours' times are unknown
     elapsed: float = 1.0  # time since that frame, in times from frame to frame
 
     def checked(self, shape: tuple[int, int], stripes: str, elapsed: float) -> "FrameMemory":
@@ -111,7 +111,7 @@ class FrameMemory:
 
 @dataclass(frozen=True, eq=False)
 class FrameSetup:
-    """What all frames of a decoder have in common."""
+    """Properties that all frames of a decoder share."""
 
     settings: DecodeSettings
     calibration: Calibration | None
@@ -120,18 +120,18 @@ class FrameSetup:
 
     @property
     def stripes(self) -> str:
-        """Which way they run, "horizontal" or "vertical"; the buffers have them along the rows."""
+        """Direction of the stripes, "horizontal" or "vertical"; in the buffers they are along the rows."""
         return self.settings.stripes
 
     @property
     def smoothing_pairs(self) -> int:
-        """How many neighbours on either side the smoothing fits."""
+        """Number of neighbours on either side that the smoothing fits."""
         return self.settings.smoothing_px // 2
 
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """What the stages make of a frame; of one without fringes, nothing."""
+    """Results of the stages for a frame; none for one without fringes."""
 
     phases: PhaseBuffers
     surface: SurfaceBuffers
@@ -149,7 +149,7 @@ class Measured:
     since_middle: Floats | None = None  # (H, W) rad, see `RowMotion`; None: the phase is as the rows show it
     constant_known: bool = False
     constant_sigma: float = np.nan  # rad, by the light alone
-    mismatch: float = np.nan  # of the colours with what the crosstalk makes of them, as a fraction
+    mismatch: float = np.nan  # of the colours from those that the crosstalk predicts, as a fraction
 
     @property
     def seen_phase(self) -> F32:
@@ -161,16 +161,16 @@ class Measured:
 
     @property
     def doubts(self) -> tuple[Cause, ...]:
-        """What the user should know."""
+        """Warnings for the user."""
         return self.light_doubts if self.order_doubt is None else (self.order_doubt, *self.light_doubts)
 
 
 @dataclass(eq=False, repr=False)
 class DecodedFrame(FrameFields):
-    """A decoded frame: every pixel's phase, its order and, with a calibration, its place.
+    """A decoded frame: every pixel's phase, its order and, with a calibration, its position.
 
-    The fields are NumPy arrays, read back from the device when they are first looked at, from any thread. On the CPU
-    they may be the very buffers that the next frame of a video looks back at: copy what you want to change.
+    The fields are NumPy arrays, read back from the device when they are first used, from any thread. On the CPU they
+    may be the very buffers that the next frame of a video reads: copy what you want to change.
 
     Examples
     --------
@@ -188,7 +188,7 @@ class DecodedFrame(FrameFields):
     noise_levels: float
     """Standard deviation of a channel where the frame is half as bright as at its brightest, grey levels."""
     warnings: tuple[Cause, ...]
-    """What the user should know about this frame, each with the `key` of its cause."""
+    """Warnings about this frame, each with the `key` of its cause."""
     _measured: Measured
     _setup: FrameSetup
     number: int | None = None
@@ -197,22 +197,22 @@ class DecodedFrame(FrameFields):
 
     @property
     def measured_px(self) -> int:
-        """How many pixels the mask holds."""
+        """Number of pixels in the mask."""
         return self._measured.n_measured
 
     @property
     def constant_known(self) -> bool:
-        """Whether the constant of all phases is known: crosstalk that is not known turns all colours about grey."""
+        """True if the constant of all phases is known: unknown crosstalk turns all colours about grey."""
         return self._measured.constant_known
 
     @property
     def calibrated(self) -> bool:
-        """Whether `range_image` is a depth in mm."""
+        """True if `range_image` is a depth in mm."""
         return self._setup.rays is not None
 
     @property
     def settings(self) -> DecodeSettings:
-        """How it was decoded."""
+        """Settings, calibration and version of the decoding."""
         return self._setup.settings
 
     @property
@@ -227,7 +227,7 @@ class DecodedFrame(FrameFields):
 
     @property
     def attributes(self) -> dict[str, Any]:
-        """How it was decoded: settings, the calibration's hash, version, unit of ranges."""
+        """Provenance: settings, the calibration's hash, version, unit of ranges."""
         return result_attributes(self.settings, self.calibration)
 
     @property
@@ -237,7 +237,7 @@ class DecodedFrame(FrameFields):
 
     @property
     def front_known(self) -> bool:
-        """Whether it is clear which side of `range_image` faces the camera: by a calibration, the settings or rims."""
+        """True if a calibration, the settings or rims determine which side of `range_image` faces the camera."""
         return self.calibrated or self._measured.front_known
 
     @property
@@ -279,18 +279,18 @@ class DecodedFrame(FrameFields):
 
     @field("bool", needs=("region",))
     def absolute(self) -> npt.NDArray[np.bool_]:
-        """Whether the order is known, not only relative to its region.
+        """True where the order is absolute, not only relative to its region.
 
-        A plain pattern tells only where a calibration's depth range leaves a region one order; a coded pattern does
-        where a region shows enough of it.
+        A plain pattern determines it only where a calibration's depth range leaves a region one order; a coded pattern
+        does where a region shows enough of it.
         """
         return self._measured.orders.known[self.region]
 
     @field("float32", "1", needs=("region",), vertex="order_error_probability")
     def order_error_probability(self) -> Floats:
-        """How probably the order is not the absolute one; NaN outside the mask.
+        """Probability that the order is not the absolute one; NaN outside the mask.
 
-        The same all over a region, and 1 where neither a code, a depth range nor the frame before tells.
+        The same all over a region, and 1 where neither a code, a depth range nor the previous frame determines it.
         """
         return self._measured.orders.error_probability[self.region]
 
@@ -298,17 +298,17 @@ class DecodedFrame(FrameFields):
     def phase_sigma(self) -> Floats:
         """One standard deviation of `wrapped_phase`; NaN outside the mask.
 
-        The camera's noise through the chain, and what the model of the light is wrong by around a place, as for a
-        surface of another colour than most; scaled to what neighbouring rows really differ by. What is the same over a
-        whole cycle and more is not in it.
+        The camera's noise through the chain, and the local error of the light's model, as on a surface of another
+        colour than most; scaled to the actual differences of neighbouring rows. Errors that are constant over a whole
+        cycle or more are not included.
         """
         return self._read(self._phase_sigma)
 
     @property
     def stripe_shift_px(self) -> float | None:
-        """By how many projector px along the stripes the pattern lies off where the calibration says.
+        """Shift of the pattern along the stripes from its calibrated place, projector px.
 
-        Only a pattern with the code "contrast2" tells; None: nothing does.
+        Only a pattern with the code "contrast2" shows it; None: unknown.
         """
         return self._measured.stripe_shift_px
 
@@ -344,7 +344,7 @@ class DecodedFrame(FrameFields):
 
         Relative is not metric: the unwrapped phase minus that of the reference, or minus the linear ramp that fits it
         best; times -1 where phase grows towards the camera, as `DecodeSettings.projector_side` or the rims of surfaces
-        tell (see `front_known`).
+        show (see `front_known`).
         """
         if self.points is not None:
             return np.ascontiguousarray(self.points[..., 2])
@@ -357,10 +357,10 @@ class DecodedFrame(FrameFields):
     def texture(self) -> npt.NDArray[np.uint8]:
         """The surface's colour without fringes, sRGB, 255 at 1.5 times full scale; 0 outside the mask.
 
-        What the camera would show if the projector sent white: reflectance times shading, room light included. The
-        brightness is every pixel's own; the colour is smooth over about a cycle of the fringe, but for edges between
-        surfaces that the frame tells apart. With a calibration, or a crosstalk matrix in the settings, a white surface
-        is neutral; else colours are those of the camera's white balance. A frame keeps a copy of its image for it.
+        The camera's picture if the projector sent white: reflectance times shading, room light included. The brightness
+        is every pixel's own; the colour is smooth over about a cycle of the fringe, but for edges between surfaces that
+        the frame distinguishes. With a calibration, or a crosstalk matrix in the settings, a white surface is neutral;
+        else colours are those of the camera's white balance. A frame keeps a copy of its image for it.
         """
         light, surface = self._measured.light, self._measured.surface
         if light is None:
@@ -380,7 +380,7 @@ class DecodedFrame(FrameFields):
         return self._sigma(self._measured.phases.misfit)
 
     def _sigma(self, misfit: F32 | None) -> F32:
-        """Estimate the standard deviations; without the misfit the light's model is taken to be right."""
+        """Estimate the standard deviations; without the misfit the light's model is treated as right."""
         phases, surface = self._measured.phases, self._measured.surface
         with runtime.lock:
             known = (surface.unwrapped, phases.precision, phases.variance, misfit, surface.mask)
@@ -401,14 +401,14 @@ FIELDS = fields_of(DecodedFrame)
 
 
 def memory_of(frame: DecodedFrame) -> FrameMemory:
-    """Return what the next frame of a video may know of a frame."""
+    """Return the state of a frame that the next one of a video may use."""
     measured = frame._measured
     surface = replace(measured.surface, unwrapped=measured.seen_phase)
     return FrameMemory(frame._setup.stripes, surface, measured.orders, measured.surfaces, measured.fields)
 
 
 def read_back(frame: DecodedFrame, fields: Iterable[str]) -> None:
-    """Read from the device now what a frame's fields are made of; looking at them later asks it nothing more."""
+    """Read the data of a frame's fields from the device now; reading the fields later does not access it."""
     for name in {needed for wanted in fields for needed in FIELDS[wanted].needs}:
         getattr(frame, name)
 

@@ -1,4 +1,4 @@
-"""What a frame that was just decoded and one that is stored have in common: its fields, and what is made of them."""
+"""Common base of decoded and of stored frames: the fields, and the results computed from them."""
 
 from abc import ABC, abstractmethod
 from pathlib import Path
@@ -25,18 +25,18 @@ Floats = npt.NDArray[np.float32]
 
 
 class FrameFields(ABC):
-    """A frame: fields of (H, W) pixels, each read when it is first looked at; see `DecodedFrame` for what they mean.
+    """A frame: fields of (H, W) pixels, each read when it is first used; see `DecodedFrame` for their meaning.
 
     Attributes
     ----------
     number : int or None
-        The frame's, in its footage; None: it is of none.
+        The frame's, in its footage; None: it is not from footage.
     time_s : float or None
-        When it was taken, s since 1970 where `dated`, else since the footage's first frame; None: nothing tells.
+        When it was taken, s since 1970 where `dated`, else since the footage's first frame; None: unknown.
     dated : bool
-        Whether the day is known.
+        True if the date is known.
     warnings : tuple of str
-        What the user should know about this frame.
+        Warnings about this frame.
 
     Examples
     --------
@@ -74,12 +74,12 @@ class FrameFields(ABC):
     @property
     @abstractmethod
     def calibrated(self) -> bool:
-        """Whether `range_image` is a depth in mm."""
+        """True if `range_image` is a depth in mm."""
 
     @property
     @abstractmethod
     def attributes(self) -> dict[str, Any]:
-        """How it was decoded: settings, the calibration's hash, version, unit of ranges."""
+        """Provenance: settings, the calibration's hash, version, unit of ranges."""
 
     @property
     @abstractmethod
@@ -127,14 +127,14 @@ class FrameFields(ABC):
         Parameters
         ----------
         field : str
-            Which; one with a number, a flag or a colour a pixel.
+            Its name; one with a number, a flag or a colour per pixel.
         ax : matplotlib.axes.Axes, optional
-            Where to draw; None: a figure of its own, which a notebook shows and `savefig` writes, without a screen.
+            The axes to draw into; None: a new figure, which a notebook shows and `savefig` writes, without a screen.
 
         Returns
         -------
         matplotlib.figure.Figure
-            What it is drawn in.
+            The figure that it is drawn in.
 
         Raises
         ------
@@ -165,7 +165,7 @@ class FrameFields(ABC):
     def to_pyvista(self) -> "PolyData":
         """Return the frame's mesh, as `frame_mesh` makes it, as `pyvista.PolyData`.
 
-        Its points have ``Normals``, ``colors`` (sRGB) and ``flags``, and what a mesh knows of its vertices, such as
+        Its points have ``Normals``, ``colors`` (sRGB) and ``flags``, and the mesh's properties of its vertices, such as
         ``sigma_mm``; its `field_data` has ``unit``, "mm" or "rad". Nothing is drawn.
         """
         return to_pyvista(self)

@@ -1,4 +1,4 @@
-"""From the array that a user hands over to linear light with the stripes along the rows, or a line that refuses it."""
+"""From a user's array to linear light with the stripes along the rows, or a line that refuses it."""
 
 from dataclasses import dataclass
 from typing import Any, cast
@@ -31,7 +31,7 @@ class LinearFrame:
 
     image: LevelsImage  # (H, W, 3)
     white: float  # full scale, levels
-    shared: bool = True  # whether the image lies in the memory of who handed it over
+    shared: bool = True  # whether the image is in its caller's memory
     repeated: RepeatedChroma | None = None  # how its colours were repeated, which is undone
 
     @property
@@ -48,11 +48,11 @@ class FrameReader:
     settings : DecodeSettings
         Full scale and stripes.
     light : LightModel
-        How the camera encodes light, and its lateral colour.
+        The camera's encoding of light, and its lateral colour.
     geometry : Geometry, optional
         The calibrated rig's, for images of one size.
     reference : (H, W) float32, optional
-        What ranges are measured from, for images of its size.
+        The origin of ranges, for images of its size.
     """
 
     def __init__(

@@ -1,8 +1,8 @@
-"""Which side of what is seen faces the camera, where no calibration tells: whether phase grows towards it or away.
+"""Determine without a calibration which side of a surface faces the camera: whether phase grows towards it or away.
 
-Neither shadow nor shading can tell [1]: what stands out and is lit from above looks like what is hollow and lit from
-below, and the phases agree. What is left is a prior: a surface that ends before the frame does turns away from the
-camera there, as the outlines of faces, limbs and balls do. A bowl is taken for a dome.
+Neither shadow nor shading can show it [1]: a convex surface lit from above looks like a hollow one lit from below, and
+the phases agree. The decision rests on a prior: a surface that ends before the frame does turns away from the camera
+there, as the outlines of faces, limbs and balls do. A bowl is mistaken for a dome.
 
 References
 ----------
@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-# Frames are looked at with about this many px along the shorter side.
+# Frames are reduced to about this many px along the shorter side.
 _SHORTER_PX = 480
 # The bend of the phase is measured at a rim and two places inside it, apart by this share of the frame's shorter side.
 _REACH = 1 / 40
@@ -30,7 +30,7 @@ _CLEAR_SHARE, _CLEAR_LENGTH = 0.1, 1 / 4
 
 @dataclass(frozen=True)
 class RimVotes:
-    """How often the phase falls or grows where surfaces turn away from the camera at their rims."""
+    """Counts of rims where the phase falls and where it grows as surfaces turn away from the camera."""
 
     falls: int = 0
     grows: int = 0
@@ -38,13 +38,13 @@ class RimVotes:
 
     @property
     def clear(self) -> bool:
-        """Whether the rims agree well enough."""
+        """True if the rims agree well enough."""
         lead = abs(self.grows - self.falls)
         return lead >= max(self.needed, _CLEAR_SHARE * (self.grows + self.falls))
 
 
 def ask_rims(unwrapped: npt.NDArray[np.float32], region: npt.NDArray[np.int32]) -> RimVotes:
-    """Ask the rims of a frame's surfaces, where the frame does not cut them off, which way they bend.
+    """Count which way the rims of a frame's surfaces bend, where the frame does not cut them off.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What a frame's arrays say of themselves: one table for the store and for xarray.
+"""Metadata of a frame's arrays: one table for the store and for xarray.
 
 Names and units are those of the CF (Climate and Forecast) conventions 1.11: https://cfconventions.org.
 """
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 
 #: The coordinates that there may be; each is an array of one axis.
 COORDINATES = ("frame", "time", "y", "x", "xyz", "rgb", "row_time")
-#: The names of what `dataset_labels` says, and of the list of coordinates beside it.
+#: The names of `dataset_labels`' entries, and of the list of coordinates next to them.
 DATASET_LABELS = ("Conventions", "title", "source", "history", "coordinates")
 
 Coordinate = tuple[tuple[str, ...], npt.NDArray[Any], dict[str, Any]]
-"""The names of its axes, its values, and what it says of itself: what xarray makes a variable of."""
+"""The names of its axes, its values and its attributes, from which xarray makes a variable."""
 
 # UDUNITS knows no grey levels.
 _UNITS = {"grey levels": "1"}
@@ -51,7 +51,7 @@ _EXPOSED = {"long_name": "time at which the frame was exposed", "standard_name":
 
 
 def result_attributes(settings: DecodeSettings, calibration: Calibration | None) -> dict[str, Any]:
-    """Return what a result says about how it was made: settings, calibration's hash, version; and its range's unit."""
+    """Return a result's provenance: settings, calibration's hash, version; and its range's unit."""
     return {
         "colorphase_version": version("colorphase"),
         "settings": json.loads(settings.model_dump_json()),
@@ -61,7 +61,7 @@ def result_attributes(settings: DecodeSettings, calibration: Calibration | None)
 
 
 def dataset_labels(made_by: str | None = None) -> dict[str, str]:
-    """Return what a set of fields says of itself; `made_by` is the version of colorphase that decoded it, if another.
+    """Return the attributes of a set of fields; `made_by` is the version of colorphase that decoded it, if another.
 
     Neither times nor hosts nor paths are in it, so that the same footage gives the same bytes.
     """
@@ -75,7 +75,7 @@ def dataset_labels(made_by: str | None = None) -> dict[str, str]:
 
 
 def field_labels(name: str, field: Field[Any], range_unit: str) -> dict[str, Any]:
-    """Return what a field's array says of itself; `range_unit` is that of ranges, "mm" or "rad"."""
+    """Return the attributes of a field's array; `range_unit` is that of ranges, "mm" or "rad"."""
     labels: dict[str, Any] = {"long_name": name.replace("_", " "), "comment": " ".join(field.meaning.split())}
     if field.unit is not None:
         unit = range_unit if field.unit == "range" else field.unit
@@ -98,13 +98,13 @@ def axis_coordinates(
     Parameters
     ----------
     axes : iterable of str
-        Which of y, x, xyz and rgb.
+        Some of y, x, xyz and rgb.
     size_px, corner_px : (2,) int
         Width and height of a frame, and x and y of its first pixel in the camera's picture, where a part is decoded.
     row_s : float
-        From one row's exposure to the next one's, of a rolling shutter, whose rows have times; 0: they have none.
+        Time from one row's exposure to the next one's in a rolling shutter, s; 0: rows have no times.
     at_once : bool
-        Whether motion is carried to the time of the middle row.
+        True if motion is carried to the time of the middle row.
     """
     (width, height), (x, y) = size_px, corner_px
     values: dict[str, npt.NDArray[Any]] = {
@@ -130,11 +130,11 @@ def frame_coordinates(
     Parameters
     ----------
     n_frames : int
-        How many there are.
+        Their number.
     seconds : (n_frames,) float64, optional
-        When each was taken.
+        The time of each.
     since : str, optional
-        What that counts from, UTC; None: the first frame. Then the unit is ``s``, which says nothing of a date.
+        The origin of `seconds`, UTC; None: the first frame. Then the unit is ``s``, without a date.
     """
     numbers: Coordinate = (("frame",), np.arange(n_frames, dtype=np.int64), dict(_LABELS["frame"]))
     if seconds is None:
@@ -147,18 +147,18 @@ def frame_coordinates(
 
 @dataclass(frozen=True)
 class FrameLabels:
-    """What a frame says of itself beside its fields."""
+    """Metadata of a frame in addition to its fields."""
 
     range_unit: str
     """Of ranges, "mm" or "rad"."""
     warnings: tuple[str, ...] = ()
-    """What the user should know, which becomes the ``comment``."""
+    """Warnings for the user, which become the ``comment``."""
     number: int | None = None
     """The frame's, in its footage."""
     time_s: float | None = None
-    """When it was taken."""
+    """Time of the frame, s."""
     dated: bool = False
-    """Whether that is since 1970, and not since the first frame."""
+    """True if the time is since 1970, not since the first frame."""
 
     def coordinates(self) -> dict[str, Any]:
         """Return the frame's number and its time as coordinates along an axis of one frame, where it has a number."""
@@ -177,7 +177,7 @@ class FrameLabels:
 
 
 def make_dataset(fields: dict[str, tuple[Field[Any], npt.NDArray[Any]]], labels: FrameLabels) -> "Dataset":
-    """Return a frame's fields, by their names, with all that is said of them, as an `xarray.Dataset`.
+    """Return a frame's fields, by their names, with all their metadata, as an `xarray.Dataset`.
 
     Raises
     ------

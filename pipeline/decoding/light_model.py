@@ -73,7 +73,7 @@ class LightModel:
     Attributes
     ----------
     transfer : Transfer
-        How the camera encodes light.
+        The camera's encoding of light.
     camera_shift_px : (3, 2) float64 or None
         The camera's lateral colour.
     crosstalk : Crosstalk
@@ -81,13 +81,13 @@ class LightModel:
     code : ContrastCode or None
         The pattern's code; while it is unknown, "contrast".
     code_unknown : bool
-        Whether neither settings nor calibration state one, so that a frame is to show whether there is one.
+        True if neither settings nor calibration state one, so that a frame has to show whether there is one.
     constant_known : bool
-        Whether the constant of all phases is known.
+        True if the constant of all phases is known.
     unknown : bool
-        Whether nothing is known of the light, so that it is estimated from the first frame with fringes.
+        True if nothing is known of the light, so that it is estimated from the first frame with fringes.
     white : (3,) float64 or None
-        What the camera's channels see of a white surface under full light, up to a factor; None: not known.
+        Response of the camera's channels to a white surface under full light, up to a factor; None: unknown.
     """
 
     def __init__(self, settings: DecodeSettings, calibration: Calibration | None) -> None:
@@ -105,11 +105,11 @@ class LightModel:
         self._bands = BETWEEN if known.wavelengths_nm is None else band_weights(known.wavelengths_nm)
         self._matrix = known.crosstalk_matrix if settings.crosstalk_matrix is None else settings.crosstalk_matrix
         self._responses = known.responses()
-        # What a frame has told of the light, and one cycle of each channel by that.
+        # The light as estimated from a frame, and one cycle of each channel by that.
         self._learned: LightEstimate | None = None
         self._learned_cycle: _Singles = flat_template()
-        # Without any word of the light the first frame with fringes tells it; not, though, how bright the camera's
-        # channels are to each other, which matters where the crosstalk is undone before the balance.
+        # Where nothing states the light, the first frame with fringes shows it, but not the relative brightness of the
+        # camera's channels, which matters where the crosstalk is undone before the balance.
         self.unknown = self._matrix is None and self._spectral != "narrow"
         self.constant_known = self._matrix is not None
         self.constant_sigma = 0.0 if self.constant_known else USUAL_TURN
@@ -134,7 +134,7 @@ class LightModel:
         self._white = None if self._matrix is None else matrix.sum(axis=1)
 
     def learn(self, light: LightEstimate | None) -> None:
-        """Take what a frame told, if it is better than nothing; None: it told nothing. No other one is asked."""
+        """Take a frame's estimate if it is better than none; None: it had none. No other frame is used."""
         self.unknown = False
         if light is None or not light.reliable:
             return
@@ -163,7 +163,7 @@ class LightModel:
         model : ChannelModel
             Is fitted to the frame.
         before : FoundSurfaces or OnlyColor, optional
-            What the frame before in a video had.
+            Those of the previous frame of a video.
         """
         crosstalk, surfaces, odd = self.crosstalk, None, None
         correction, cycle = self._balance(image, crosstalk, levels, model)
@@ -194,11 +194,11 @@ class LightModel:
         return self.cycle(model.recover(crosstalk, levels), model.gains.period_px)
 
     def _surface_prior(self, cycle: _Singles) -> SurfacePrior:
-        """Return what is known before surfaces are looked for, given one cycle of the channels on white."""
+        """Return the prior of the search for surfaces, given one cycle of the channels on white."""
         matrix = self.crosstalk.matrix.astype(np.float64)
         light = np.asarray(np.linalg.solve(matrix, channel_harmonics(cycle)), np.complex128)
         if not self.light_known:
-            # What the frame tells is the surfaces' as well; all primaries have the same light.
+            # The frame's estimate includes the surfaces; all primaries have the same light.
             turns = np.exp(1j * np.arange(1, light.shape[1] + 1) * channel_delays(self._lag)[:, None])
             light = np.asarray((light / turns).real.mean(axis=0) * turns)
         if self._white is None:
@@ -209,22 +209,22 @@ class LightModel:
             contrast=_PLAIN_DOUBT,
             harmonic=_KNOWN_HARMONIC if self.light_known else _SEEN_HARMONIC,
         )
-        # Surfaces are fitted to the frame's contrast, not to the neighbourhood's: the code's whole spread is in doubt.
+        # Surfaces are fitted to the frame's contrast, not to the neighbourhood's: the code's whole spread is uncertain.
         coded = 0.0 if self.code is None else float(self.code.contrasts.std() / self.code.usual)
         return SurfacePrior(matrix, self._white, light, self._lag, doubt, coded, self._bands)
 
     def cycle(
         self, histogram: npt.NDArray[np.int64], period_px: float
     ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-        """Return what undoes the projector's response, and what one cycle of each channel then looks like.
+        """Return the correction of the projector's response, and one cycle of each channel after it.
 
-        What is known of the response is a prior: the fringe is blurred after it, and the frame has the last word, as
-        far as its phases tell.
+        The known response is a prior: the fringe is blurred after it, and the frame decides, as far as its phases show
+        it.
 
         Parameters
         ----------
         histogram : (tiles, bins)
-            How often each phase is seen; see `ChannelModel.recover`.
+            Counts of each phase; see `ChannelModel.recover`.
         period_px : float
             Camera px per cycle.
 
@@ -240,7 +240,7 @@ class LightModel:
         measured = measure_correction(histogram, resolved_harmonics(period_px))
         fits = [prior.fit(measured, period_px) for prior in self._priors]
         if not self._equalize:
-            measured = measure_correction(histogram, 0)  # of what the phases tell, nothing is used
+            measured = measure_correction(histogram, 0)  # nothing that the phases show is used
         if not fits:
             return measured.table(measured.beyond(0.0)), flat_template()
         likeliest = int(np.argmin([misfit for _, misfit in fits]))
@@ -250,7 +250,7 @@ class LightModel:
 
     @property
     def light_known(self) -> bool:
-        """Whether what the projector sends over a cycle is known, so that `cycle` tells what channels look like."""
+        """True if the projector's light over a cycle is known, so that `cycle` predicts the channels."""
         return self._learned is not None or bool(self._priors)
 
     @property
@@ -276,7 +276,7 @@ def _code(settings: DecodeSettings, calibration: Calibration | None) -> Contrast
 
 
 def _transfer(settings: DecodeSettings, calibration: Calibration) -> Transfer:
-    """Return how the camera encodes light, and warn where it stands otherwise than at calibration."""
+    """Return how the camera encodes light, and warn where its settings differ from those at calibration."""
     before, now = calibration.capture or CameraState(), settings.capture or CameraState()
     chosen: Transfer = settings.transfer or "linear"
     if before.transfer is not None and settings.transfer is None:

@@ -7,7 +7,7 @@ from pipeline.decoding.front_side import RimVotes
 from pipeline.decoding.self_calibration import LightEstimate
 from pipeline.models import CodeName
 
-#: What a frame may be asked for.
+#: Properties that a frame may be checked for.
 Asked = Literal["light", "code", "rims"]
 
 
@@ -26,11 +26,11 @@ class RigState:
     """
 
     light: LightEstimate | None = None
-    """Crosstalk and response by the first frame with fringes, where nothing else tells the crosstalk; decoders use it
-    if it is `reliable`. None: it has told nothing."""
+    """Crosstalk and response by the first frame with fringes, where the crosstalk is otherwise unknown; decoders use it
+    if it is `reliable`. None: no estimate."""
     code: CodeName | None = None
     """The pattern's code: by settings, calibration or a frame; None: there is none, or none yet."""
     rims: RimVotes = field(default_factory=RimVotes)
-    """What the first frame that shows it clearly, or the last one, tells of which side is in front."""
+    """Votes for which side is in front, of the first frame that shows it clearly, or of the last one."""
     asks: frozenset[Asked] = frozenset({"light", "code", "rims"})
-    """What frames to come are asked for; what is not in it is settled."""
+    """Properties for which further frames are checked; all others are settled."""

@@ -9,7 +9,7 @@ with M's rows summing to one, a_kn the harmonics of projector channel k's respon
 its mean, d_k the colours' delays. With one response for all and h_j = sum_k M_jk exp(i d_k), real M gives
 H_j1 = a_1 h_j,  H_j2 = a_2 conj(h_j),  H_j3 = a_3,  H_j4 = a_4 h_j, and so on.
 
-- The first harmonics say M up to one complex factor that all h_j share. Its size is the fringe's contrast, its
+- The first harmonics determine M up to one complex factor that all h_j share. Its size is the fringe's contrast, its
   angle a turn of the phase: what a circulant M (equal leaks all round) does. The size bends no phase.
 - A turn t puts exp(i n t) on H_jn, so arg(H_j1 H_j2) = 3 t for every channel: a response that is not linear fixes the
   turn; a linear one does not, and then the phase is known up to a constant.
@@ -54,8 +54,8 @@ _FLOOR = 0.1
 _MIN_CYCLES = 4.0
 # Samples of the balance, at least: of each group, one for each number that is fitted.
 _MIN_SAMPLES = _GROUPS * (1 + 2 * HARMONICS)
-#: Crosstalk of which nothing is known turns the phase about grey by this, rad: camera filters leak up to a quarter of
-#: the neighbouring primary, to one side more than to the other.
+#: Unknown crosstalk turns the phase about grey by this, rad: camera filters leak up to a quarter of the neighbouring
+#: primary, to one side more than to the other.
 USUAL_TURN = 0.1
 #: A turn less sure than this, rad, or a rest beyond it, leaves the phase's constant unknown: it is not only crosstalk
 #: and response, then, by which the channels differ.
@@ -63,7 +63,7 @@ MAX_CONSTANT = 0.03
 
 
 class LightEstimate(Model):
-    """What a frame says about its rig's light; standard deviations come from leaving out groups of tiles in turn.
+    """A rig's light as estimated from a frame; standard deviations come from leaving out groups of tiles in turn.
 
     Examples
     --------
@@ -87,13 +87,13 @@ class LightEstimate(Model):
     constant_known: bool
     """False: the response is nearly linear, and the phase is known up to a constant."""
     cycles: float
-    """How many are in view."""
+    """Number of cycles in view."""
     ripple: float
     """RMS, rad: what repeats with every cycle when only the colours are balanced."""
     misfit: float
     """RMS, rad: the part of it that the matrix and one response leave unexplained."""
     reliable: bool
-    """Whether decoding is better off with it."""
+    """True if decoding is better with it."""
 
     def __repr__(self) -> str:
         leak = (self.crosstalk_matrix - np.diag(np.diag(self.crosstalk_matrix))).max()
@@ -133,16 +133,18 @@ def _channel_harmonics(model: ChannelModel, correction: _Singles) -> _Complexes:
     balanced, has_phase = runtime.to_host(model.balanced), phases < LEAST_NO_PHASE
     mean = brightness[:height] / np.maximum(samples[:height], TINY)
     # Of a window that is emptier, the mean brightness has too much of the fringe in it.
-    told = has_phase & (samples[:height] > 0.5 * gains.window.samples)
-    count = np.count_nonzero(told)
+    usable = has_phase & (samples[:height] > 0.5 * gains.window.samples)
+    count = np.count_nonzero(usable)
     if count < _MIN_SAMPLES:
-        raise CalibrationError(f"{count} samples of a surface with fringes: too few to tell the rig from the object")
-    y, x = np.nonzero(told)
-    phase = phases[told] + np.interp(phases[told], np.linspace(-np.pi, np.pi, len(correction)), correction)
+        raise CalibrationError(
+            f"{count} samples of a surface with fringes: too few to distinguish the rig from the object"
+        )
+    y, x = np.nonzero(usable)
+    phase = phases[usable] + np.interp(phases[usable], np.linspace(-np.pi, np.pi, len(correction)), correction)
     turns = np.outer(phase, _ORDERS)
     basis = np.concatenate([np.ones((count, 1)), np.cos(turns), np.sin(turns)], axis=1)
-    basis *= mean[told][:, None]
-    light = balanced[told].astype(np.float64)
+    basis *= mean[usable][:, None]
+    light = balanced[usable].astype(np.float64)
     group = (y // max(1, int(2 * gains.period_px)) + 3 * (x * gains.spacing_px // int(2 * gains.period_px))) % _GROUPS
     parts = [(basis[group == g], light[group == g]) for g in range(_GROUPS)]
     gram, right = (
@@ -181,11 +183,11 @@ def estimate_light(image: LevelsImage, levels: FrameLevels, period_px: float, cy
     image : (H, W, 3) uint8, uint16 or float32
         Linear light, levels, stripes along the rows.
     levels : FrameLevels
-        Which pixels are bright enough, and have a fringe.
+        Levels above which pixels are bright enough, and have a fringe.
     period_px : float
         Camera px per cycle.
     cycles : float
-        How many are in view: few of them say little, however many pixels there are.
+        Number of cycles in view: few of them determine little, whatever the number of pixels.
 
     Raises
     ------
@@ -211,7 +213,7 @@ def estimate_light(image: LevelsImage, levels: FrameLevels, period_px: float, cy
 def _estimate(
     H: _Complexes, matrices: FloatArray, constant_sigma: float, cycles: float, ripple: float
 ) -> LightEstimate:
-    """Return what the channels' harmonics say, (_GROUPS + 1, 3, HARMONICS): all together, then a group left out."""
+    """Return the channels' harmonics, (_GROUPS + 1, 3, HARMONICS): all together, then with a group left out."""
     floor = _FLOOR / max(cycles, 1)
     # Light of the projector's channels, over its mean first harmonic; one response makes it real in their own phases.
     sent = np.linalg.inv(matrices) @ H
@@ -229,7 +231,7 @@ def _estimate(
         crosstalk_sigma=np.hypot(_deviation(matrices), floor),
         response=_response_curve(own[0]),
         correction=_correction(expected + rest),
-        constant_sigma=min(constant_sigma, np.pi),  # where nothing tells it, any turn is as likely
+        constant_sigma=min(constant_sigma, np.pi),  # where it is unknown, any turn is as likely
         constant_known=bool(constant_sigma < MAX_CONSTANT and misfit < MAX_CONSTANT),
         cycles=cycles,
         ripple=ripple,

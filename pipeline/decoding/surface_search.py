@@ -1,4 +1,4 @@
-"""Find the surfaces of a frame by their colours, and what the colour of each makes of the crosstalk.
+"""Find the surfaces of a frame by their colours, and the effect of each colour on the crosstalk.
 
 Each surface's matrix is predicted from its colour and fitted to its pixels, every pixel goes to the surface that
 explains it best, surfaces that none needs are dropped, and places that none explains become new ones. In a video the
@@ -43,8 +43,8 @@ _Labels = npt.NDArray[np.uint8]
 _Mask = npt.NDArray[np.bool_]
 _Complexes = npt.NDArray[np.complex128]
 
-# Places of all surfaces that are asked, in the first turn and in all others; and of one, which has at least the fourth.
-# Those near its edges, where the other side's light is blurred in, are asked only if the inside has fewer.
+# Places of all surfaces that are used, in the first pass and in all others; and of one, which has at least the fourth.
+# Those near its edges, where the other side's light is blurred in, are used only if the inside has fewer.
 _FIRST_SAMPLES, _SAMPLES, _MOST_SAMPLES, _LEAST_SAMPLES = 1000, 4000, 1500, 20
 # They are spread evenly: the golden section, whose multiples come nowhere near each other.
 _GOLDEN = 0.6180339887498949
@@ -58,8 +58,8 @@ _ALIKE = 0.1
 # If the largest surface is off by more than this, the search has failed. Demosaicking and JPEG make up to 0.03, where
 # phases without surfaces are off up to four times as much; a calibration of another rig makes 0.05 and more.
 _CONTRADICTED = 0.04
-# Surfaces that are off by more than this, on more than this share of what is lit, are told of: on spots and highlights
-# `phase_sigma` is larger, but a fluorescent paint has another constant.
+# Surfaces that are off by more than this, on more than this share of the lit pixels, are warned about: on spots and
+# highlights `phase_sigma` is larger, but a fluorescent paint has another constant.
 _ODD, _ODD_SHARE = 0.025, 0.02
 # A light of which this part is not explained may turn the phase by as much, rad: 1 to 3.5 on paints that fluoresce.
 _PHASE_OF_LIGHT = 2.0
@@ -73,12 +73,12 @@ _MOST_AMBIENT = 0.5
 
 @dataclass(frozen=True, eq=False)
 class SurfacePrior:
-    """What is known of the light before a frame's surfaces are looked for."""
+    """The light as known before the search for a frame's surfaces."""
 
     matrix: FloatArray
     """(3, 3) the crosstalk on white, its rows' sums one."""
     white: FloatArray | None
-    """(3,) what the camera's channels see of white, up to a factor; None: the commonest colour of a frame."""
+    """(3,) response of the camera's channels to white, up to a factor; None: the commonest colour of a frame."""
     light: _Complexes
     """(3, harmonics) of the projector's light over its mean, from the first on."""
     lag: FloatArray | None
@@ -88,7 +88,7 @@ class SurfacePrior:
     contrast_doubt: float
     """Standard deviation of a pixel's contrast by the pattern's code, as a fraction."""
     bands: FloatArray
-    """(3, 3, 3) where colours act, as a rule; see `predict_matrices`."""
+    """(3, 3, 3) where colours usually act; see `predict_matrices`."""
 
     def template(self, light: _Complexes) -> npt.NDArray[np.float32]:
         """Return one cycle of a neutral surface's channels."""
@@ -106,23 +106,23 @@ class SurfacePrior:
 
 @dataclass(frozen=True, eq=False)
 class FoundSurfaces:
-    """What a frame says of its surfaces."""
+    """Surfaces as estimated from a frame."""
 
     crosstalk: Crosstalk
     """With the surfaces."""
     template: npt.NDArray[np.float32]
     """(3, terms) one cycle of a neutral surface's channels."""
     fitted: FittedMatrices
-    """What they were found to be."""
+    """The surfaces found."""
     bands: FloatArray
     """(3, 3, 3) where their colours act; see `predict_matrices`."""
     mismatch: float
-    """How far the channels' fundamentals are from what the crosstalk on white makes of the colour, as a fraction, on
+    """Relative deviation of the channels' fundamentals from the prediction by the colour and the crosstalk on white, on
     the surface that is most like white: saturated paints are further off."""
 
 
 class OnlyColor(NamedTuple):
-    """The frame has a single colour, and the balance alone undoes what that makes of the crosstalk."""
+    """The frame has a single colour, and the balance alone undoes its effect on the crosstalk."""
 
     ratios: FloatArray
     """(3,) see `color_ratios`."""
@@ -132,7 +132,7 @@ class NoModelFits(NamedTuple):
     """Some of the frame's colours contradict the crosstalk: no matrix explains them."""
 
     misfit: float
-    """What is left over of them, as a fraction of their light."""
+    """Their residuals, as a fraction of their light."""
     share: float
     """Of the pixels that are lit."""
     color: str
@@ -149,17 +149,17 @@ Found = tuple[FoundSurfaces | OnlyColor | None, NoModelFits | None]
 
 
 def find_surfaces(look: FirstLook, known: SurfacePrior, before: FoundSurfaces | OnlyColor | None = None) -> Found:
-    """Find the surfaces of a frame by their colours, and what the colour of each makes of the crosstalk.
+    """Find the surfaces of a frame by their colours, and the effect of each colour on the crosstalk.
 
     Parameters
     ----------
     look : FirstLook
         The frame.
     known : SurfacePrior
-        What is known of the light.
+        The light as known so far.
     before : FoundSurfaces or OnlyColor, optional
-        What the frame before in a video had: the search begins with its surfaces; a colour that is still the only one
-        is not looked at again.
+        Those of the previous frame of a video: the search begins with its surfaces; a colour that is still the only one
+        is not examined again.
     """
     if not look.lit.any():
         return None, None
@@ -175,12 +175,12 @@ def find_surfaces(look: FirstLook, known: SurfacePrior, before: FoundSurfaces | 
     found, odd = SurfaceSearch(look, known, white, colors, after).run()
     if found is None and odd is None and len(colors) == 1:
         return OnlyColor(colors[0]), None
-    # A crosstalk that the frame itself has told is contradicted by nothing.
+    # A crosstalk that was estimated from the frame itself cannot contradict it.
     return found, None if found is None and known.white is None else odd
 
 
 def _acts_after(look: FirstLook, known: SurfacePrior, white: FloatArray) -> bool:
-    """Whether the colour of a frame's only surface acts after the crosstalk rather than between."""
+    """Return whether the colour of a frame's only surface acts after the crosstalk rather than between."""
     light = look.some_samples()
     if len(light) == 0:
         return False
@@ -196,7 +196,7 @@ def _acts_after(look: FirstLook, known: SurfacePrior, white: FloatArray) -> bool
     samples = look.surface_samples(light, even, even, weights, ambient, np.ones(2), known.contrast_doubt)
     found = compare_samples(samples, matrices, ambient, known.light)
     after, otherwise = np.median(np.abs(found.residual) / np.sqrt(found.variance), axis=2)[:, 0]
-    # Where neither explains the light, within about a standard deviation, other surfaces are looked for.
+    # Where neither explains the light, within about a standard deviation, other surfaces are searched for.
     return bool(after < min(otherwise, 1.0))
 
 
@@ -208,9 +208,9 @@ class SurfaceSearch:
     look : FirstLook
         The frame.
     known : SurfacePrior
-        What is known of the light.
+        The light as known so far.
     white : (3,)
-        What the camera's channels see of white, up to a factor.
+        Response of the camera's channels to white, up to a factor.
     colors : (n, 3)
         Ratios that many of the frame's nodes have; see `color_ratios`.
     before : FoundSurfaces, optional
@@ -238,13 +238,13 @@ class SurfaceSearch:
             self._bands = [before.bands]
         # Which surfaces the frame began with.
         self._first = np.ones(len(self._colors), bool)
-        # Places where no new surface is looked for: those at an edge see two of them, and no matrix explains that; and
-        # those where a new surface has been dropped. A first surface that is dropped may be a mixture of others, so its
-        # place stays open.
+        # Places where no new surface is searched for: those at an edge see two of them, and no matrix explains that;
+        # and those where a new surface has been dropped. A first surface that is dropped may be a mixture of others, so
+        # its place stays open.
         self._tried = self._near_edges(_EDGE_PX)
 
     def run(self) -> tuple[FoundSurfaces | None, NoModelFits | None]:
-        """Look for the surfaces; None: there is but one, which acts as the balance alone undoes, or none fits."""
+        """Search for the surfaces; None: there is only one, whose effect the balance alone undoes, or none fits."""
         before = self._before
         for _ in range(_TURNS if before is None else 1):
             fitted = self._fit() if before is None else before.fitted
@@ -287,7 +287,7 @@ class SurfaceSearch:
         return found, odd if odd.share > _ODD_SHARE else None
 
     def _balanced(self, fitted: FittedMatrices) -> bool:
-        """Whether the frame's only surface acts as the balance alone undoes."""
+        """Return whether the balance alone undoes the effect of the frame's only surface."""
         return len(fitted.matrices) == 1 and self._bands[0] is BROAD
 
     def _contradiction(self, fitted: FittedMatrices | None) -> NoModelFits | None:
@@ -333,7 +333,7 @@ class SurfaceSearch:
     def _fit(self, *, ends: bool = False) -> FittedMatrices | None:
         """Fit the surfaces' matrices; None if there is no surface.
 
-        Noise tells surfaces apart best; in the end it is the model that is wrong by more.
+        Noise alone distinguishes surfaces best; in the end the model's error, which is larger, is included.
         """
         look, known, chosen = self._look, self._known, self._chosen()
         if not chosen:
@@ -406,7 +406,7 @@ class SurfaceSearch:
         return np.asarray(((apart < _ALIKE) & (sizes > sizes[:, None])).any(axis=1))
 
     def _keep(self, new: Relabelled, fitted: FittedMatrices) -> FittedMatrices:
-        """Go on with what has proved to be a surface, and return that."""
+        """Continue with a candidate that has proved to be a surface, and return it."""
         in_vain = [k for k in np.flatnonzero(~self._first) if k not in new.kept]
         self._tried = self._tried | np.isin(self._labels, in_vain)
         self._fitted = kept = fitted.only(new.kept)
@@ -462,7 +462,7 @@ class SurfaceSearch:
 
 
 def _largest_part(mask: _Mask, chosen: _Mask, least: float) -> _Mask:
-    """Return what hangs together of the chosen ones of a mask's places, the largest such part: it is of one surface.
+    """Return the largest connected part of the chosen ones of a mask's places: it is of one surface.
 
     All of them, if none is large enough for a surface.
     """

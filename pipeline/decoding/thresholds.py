@@ -9,8 +9,8 @@ from tikernels.phase.smoothing import left_of_variance
 
 # The largest standard deviation, rad, that is expected of a valid pixel's smoothed phase.
 _MOST_SIGMA = 0.2
-# What all pixels have in common those tell that have this share of the fringe of the brightest.
-_TELLING = 0.15
+# Frame-wide quantities are estimated from pixels with at least this share of the fringe of the brightest.
+_LEAST_SHARE = 0.15
 # Light and fringe must reach this fraction of the frame's brightness, below which ambient and stray light decide.
 _LEAST_FRACTION = 0.03
 # Noise below this share of full scale is not to be relied on.
@@ -23,7 +23,7 @@ def frame_levels(settings: DecodeSettings, statistics: FrameStatistics, white: f
     Parameters
     ----------
     settings : DecodeSettings
-        What is given wins.
+        Values that they state take precedence.
     statistics : FrameStatistics
         The frame's, as fractions of full scale.
     white : float
@@ -49,5 +49,5 @@ def frame_levels(settings: DecodeSettings, statistics: FrameStatistics, white: f
         intensity=intensity,
         modulation=modulation,
         precision=precision,
-        least_reliable=_TELLING * statistics.modulation * white,
+        least_reliable=_LEAST_SHARE * statistics.modulation * white,
     )

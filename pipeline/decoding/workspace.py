@@ -18,7 +18,7 @@ class Workspace:
     height, width : int
         Of the image.
     period_px : float
-        Camera px a cycle.
+        Camera px per cycle.
     pairs : int
         Neighbours on either side that the smoothing fits.
     given : GivenRegions, optional
@@ -42,5 +42,5 @@ class Workspace:
         self.unwrapper = RegionUnwrapper(height, width, given)
 
     def fits(self, shape: tuple[int, int], period_px: float) -> bool:
-        """Whether these buffers are for frames of this size and period."""
+        """Return whether these buffers are for frames of this size and period."""
         return (self._shape, self.period_px) == (shape, period_px)

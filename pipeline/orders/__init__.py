@@ -1,4 +1,4 @@
-"""Which whole cycles every region of a frame has: by the code, the frame before, or the expected depth."""
+"""The whole cycles of every region of a frame: by the code, the frame before, or the expected depth."""
 
 from typing import TYPE_CHECKING
 

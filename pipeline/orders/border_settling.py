@@ -1,10 +1,10 @@
 """Settle which part the patches along a border between two parts belong to.
 
-Where two surfaces touch at a step of a whole cycle the phase goes on from one to the other, and the cut between them
-may lie some patches off. The contrast tells on which side patches lie: not by how it rises from cycle to cycle, of
-which a patch shows one step or none, but by how high it is beside the rest of its part. So do the borders: a clump of
-patches is moved to the part beside it where contrast and borders together favour that. A patch at such a border is
-torn, and left out, if neither part is clearly the better one, or its contrast contradicts its own part's.
+Where two surfaces touch at a step of a whole cycle the phase continues from one to the other, and the cut between them
+may be some patches off. The contrast determines on which side patches lie: not by its rise from cycle to cycle, of
+which a patch shows one step or none, but by its level compared with the rest of its part. So do the borders: a clump of
+patches is moved to the part next to it where contrast and borders together favour that. A patch at such a border is
+torn, and omitted, if neither part is clearly the better one, or its contrast contradicts its own part's.
 
 On 120 piles of objects (`tests/benchmarks/piles.py`) a quarter less is wrong and not flagged, of large ones before a
 wall three quarters, and as much is right.
@@ -31,14 +31,14 @@ from tikernels.unwrapping.surface_borders import Borders
 _CLUMP_SIGMA, _MIN_SIGMA, _MAX_DEVIATION, _COUNTS = 0.03, 0.012, 9.0, 0.5
 # How often what a clump is off is fitted, each time with other weights.
 _ROUNDS = 5
-# Fewer blocks tell no level. A patch that shows less than this share of one shows none.
+# Fewer blocks determine no level. A patch that shows less than this share of one shows none.
 _MIN_BLOCKS, _MIN_SHOWN = 6, 0.6
-# What a pixel costs, in units of the logarithm of the likelihood: over which the surface goes on to another part, or to
-# another order; and over which it steps inside a part. A clump is moved if that is better by this.
+# What a pixel costs, in units of the logarithm of the likelihood: over which the surface continues to another part, or
+# to another order; and over which it steps inside a part. A clump is moved if that is better by this.
 _GOING_ON_COST, _STEPPING_COST, _MIN_GAIN = 0.15, 0.225, 4.0
-# Two parts go on where they do over more pixels than the first; over a cell's side they surely do. Two orders are as
-# good as each other where their logarithms differ by less than the third; a patch contradicts its part where it shows
-# so many blocks, and its levels deviate by this many variances on average.
+# Two parts continue into each other where they do over more pixels than the first; over a cell's side they surely do.
+# Two orders are as good as each other where their logarithms differ by less than the third; a patch contradicts its
+# part where it shows so many blocks, and its levels deviate by this many variances on average.
 _SOME_PX, _SIDE_PX, _UNDECIDED, _WELL_SHOWN, _CONTRADICTS = 3.0, 8.0, 4.0, 1.6, 7.0
 # Orders that differ by more are a border's that has been misread.
 _MOST_CYCLES = 200
@@ -48,15 +48,15 @@ _MOST_ERROR = 0.5
 
 @dataclass(frozen=True)
 class SettledBorders:
-    """Where the patches belong."""
+    """The parts that patches belong to."""
 
-    roots: npt.NDArray[np.int32]  # (P,) the patch that stands for each patch's part
+    roots: npt.NDArray[np.int32]  # (P,) the patch that represents each patch's part
     shifts: Integers  # (P,) whole cycles to add to the patches' orders so that they are their part's
     torn: npt.NDArray[np.bool_]  # (P,) patches that may belong to either of two parts
 
     @classmethod
     def none(cls, roots: npt.NDArray[np.int32]) -> "SettledBorders":
-        """Return borders of which nothing tells more."""
+        """Return the borders unchanged."""
         return cls(roots, np.zeros(len(roots), np.int64), np.zeros(len(roots), np.bool_))
 
 
@@ -96,7 +96,7 @@ class _Levels(NamedTuple):
 
 
 class _Parts:
-    """How high the contrast of each part is."""
+    """The level of each part's contrast."""
 
     def __init__(self, reader: CodeReader, lacks: Integers) -> None:
         blocks = reader.blocks
@@ -138,7 +138,7 @@ def settle_borders(
     lacks: Integers,
     errors: FloatArray,
 ) -> SettledBorders:
-    """Move clumps of patches to the part beside theirs where contrast and borders favour that, and find torn ones.
+    """Move clumps of patches to the part next to theirs where contrast and borders favour that, and find torn ones.
 
     Parameters
     ----------
@@ -147,12 +147,12 @@ def settle_borders(
     graph : PatchGraph
         Patches and borders.
     roots : (P,) int32
-        The patch that stands for each patch's part.
+        The patch that represents each patch's part.
     lacks : (P,) int
         Whole cycles that the orders of the patches' parts lack to be absolute.
     errors : (P,) float
-        How probably that is wrong. A part that is probably misplaced takes no patches; orders that are not
-        certain are flagged anyway, and their patches not torn.
+        Probability that they are wrong. A part that is probably misplaced takes no patches; orders that are not certain
+        are flagged anyway, and their patches not torn.
     """
     borders, count = graph.borders, len(roots)
     if borders is None or not (borders.going_on[_apart(borders, roots)] >= _SOME_PX).any():
@@ -167,7 +167,7 @@ def settle_borders(
         seeds = seeds[inside[seeds]]
         against = parts.judge(np.bincount(seeds, minlength=count) > 0, other, lacking)[2]
         seeds = seeds[(against[seeds] < 0) | (shown[seeds] < _MIN_SHOWN)]
-        if len(seeds) == 0:  # nor is the rest of the part asked
+        if len(seeds) == 0:  # the rest of the part is not checked
             continue
         held, there, against = parts.judge(inside, other, lacking)
         for clump in _clumps(graph, inside & ((against < 0) | (shown < _MIN_SHOWN)), seeds):
@@ -199,7 +199,7 @@ def _apart(borders: Borders, roots: npt.NDArray[np.int32]) -> npt.NDArray[np.boo
 def _going_on(
     borders: Borders, orders: npt.NDArray[np.integer], roots: npt.NDArray[np.int32], least_px: float
 ) -> Iterator[tuple[int, int, int, Integers]]:
-    """Find where parts go on to others at orders that are not theirs.
+    """Find where parts continue into others at orders that are not theirs.
 
     Yields a part, the other one, by how many cycles the part's orders would change if it went on there, and its patches
     along such a border.
@@ -219,7 +219,7 @@ def _going_on(
 
 
 def _clumps(graph: PatchGraph, members: npt.NDArray[np.bool_], seeds: Integers) -> Iterator[npt.NDArray[np.bool_]]:
-    """Find the clumps of members that hang together and hold a seed, which are members, (P,) bool each."""
+    """Find the connected clumps of members that contain a seed (seeds are members), (P,) bool each."""
     within = members[graph.ends[0]] & members[graph.ends[1]]
     pieces = connected_parts(graph.ends[:, within], len(members))
     for piece in np.unique(pieces[seeds]):

@@ -16,13 +16,13 @@ from tikernels.unwrapping.patches import PatchGraph
 _MIN_VOTES, _MIN_SHARE = 6, 0.6
 # Beyond this change of phase from frame to frame, in cycles, the next order is nearly as close: such a vote is void.
 _MAX_CHANGE = 0.35
-# A surface's phase usually changes by this many cycles a frame, or by as many more than is expected; what is larger by
-# as many again is e-fold rarer.
+# A surface's phase usually changes by this many cycles per frame, or by as many more than is expected; what is larger
+# by as many again is e-fold rarer.
 _USUAL_CHANGE = 0.06
-# What goes on moves alike: of a region where all changes, in fractions of a cycle, are as frequent the coherence is 0,
-# where they spread over a half it is 0.64.
+# A continuing region moves coherently: changes, in fractions of a cycle, that are uniformly distributed have coherence
+# 0, over a half cycle 0.64.
 _MIN_COHERENCE = 0.5
-# Where the votes' coherence is less on average, 0 where regions do not go on, the frame shows another scene: objects
+# Where the votes' coherence is less on average, 0 where regions do not continue, the frame shows another scene: objects
 # that turn by 3 degrees a frame reach 0.9, two scenes that happen to look alike in places 0.7.
 _SAME_SCENE = 0.75
 # A lead of this many votes halves the probability that the order is wrong: neighbouring pixels err together.
@@ -48,8 +48,8 @@ class CarriedOrders:
     roots: npt.NDArray[np.int64]  # (n,) of the regions whose orders are carried on
     offsets: npt.NDArray[np.int64]  # (n,) to be added to their orders
     before: npt.NDArray[np.int64]  # (n,) the region of the frame before that they come from
-    error_probability: npt.NDArray[np.float64]  # (n,) that they do not go on from there with these orders
-    change: FloatArray  # (n, 3) rad by which their phase has changed since, and its slopes, rad a px; see `vote_orders`
+    error_probability: npt.NDArray[np.float64]  # (n,) that they do not continue from there with these orders
+    change: FloatArray  # (n, 3) rad, change of their phase since, and its slopes, rad per px; see `vote_orders`
 
     def with_change(
         self,
@@ -65,7 +65,7 @@ class CarriedOrders:
         votes : (N, 5) int32
             `vote_orders`'s.
         roots : (P,) int32
-            The patch that stands for the region of each patch.
+            The patch that represents the region of each patch.
         expected : (N,) float
             The change that they were taken with, cycles.
         places : (2, N) int
@@ -87,21 +87,21 @@ class CarriedOrders:
         return replace(self, change=change)
 
     def with_neighbours(self, parts: npt.NDArray[np.int32], beside: npt.NDArray[np.int32]) -> Self:
-        """Let parts that nothing carries keep their orders relative to the part that they go on with most; unsure.
+        """Let parts that nothing carries keep their orders relative to the part that they continue most; unsure.
 
         A part may be newly seen, or have moved too far to vote.
 
         Parameters
         ----------
         parts : (P,) int32
-            The patch that stands for each patch's part.
+            The patch that represents each patch's part.
         beside : (P,) int32
             See `Patches.beside`.
         """
         alone = np.setdiff1d(parts, self.roots)
         partner = parts[beside[alone]]
-        told = np.isin(partner, self.roots)
-        alone, places = alone[told], np.searchsorted(self.roots, partner[told])
+        carried = np.isin(partner, self.roots)
+        alone, places = alone[carried], np.searchsorted(self.roots, partner[carried])
         order = np.argsort(np.concatenate([self.roots, alone]), kind="stable")
         return replace(
             self,
@@ -121,14 +121,14 @@ def _fitted_plane(here: FloatArray, values: FloatArray) -> FloatArray:
 def choose_motion(
     votes: npt.NDArray[np.int32], roots: npt.NDArray[np.int32], expected: FloatArray
 ) -> tuple[npt.NDArray[np.int32], FloatArray]:
-    """Let the votes of regions that have not gone on as expected be those of regions that were at rest.
+    """Let the votes of regions that have not continued as expected be those of regions that were at rest.
 
     Parameters
     ----------
     votes : (N, 5) int32
         `vote_orders`'s.
     roots : (P,) int32
-        The patch that stands for the region of each patch.
+        The patch that represents the region of each patch.
     expected : (N,) float
         The change that they were taken with, cycles.
 
@@ -165,7 +165,7 @@ def count_votes(
     votes : (N, 5) int32
         Patch, cycles, rest, region before, soundness.
     roots : (P,) int32
-        The patch that stands for the region of each patch.
+        The patch that represents the region of each patch.
     taken_with, expected : (N,) float, optional
         The change that the votes are taken with, and the one that was expected, cycles; None: none.
     """
@@ -203,7 +203,7 @@ def count_votes(
     kept = (counts[best] >= _MIN_VOTES) & (counts[best] >= _MIN_SHARE * total) & (coherence[regions] >= _MIN_COHERENCE)
     if (coherence[regions] * total)[kept].sum() < _SAME_SCENE * everyone:
         return count_votes(votes[:0], roots)
-    # What has moved goes on moving, or it stops: by either, one of the next orders may be the likelier one.
+    # A moving surface continues moving, or it stops: by either, one of the next orders may be the likelier one.
     likelihood = np.stack(
         [
             np.exp(-away / _USUAL_CHANGE) + np.exp(-np.abs(change + turn) / _USUAL_CHANGE)
@@ -226,7 +226,7 @@ def _rows(votes: npt.NDArray[np.int32], chosen: npt.NDArray[np.bool_]) -> npt.ND
 
 
 def _coherence(root: npt.NDArray[np.int64], rest: npt.NDArray[np.int32], count: int) -> npt.NDArray[np.float64]:
-    """(count,) float: how alike a region's phase changes, 1 where by the same everywhere, 0 where nobody votes."""
+    """(count,) float: coherence of a region's phase changes, 1 where they are equal, 0 without votes."""
     least = int(rest.min(initial=0))
     turn = 2 * np.pi / RESTS_A_CYCLE * np.arange(least, int(rest.max(initial=0)) + 1)
     sums = [np.bincount(root, component[rest - least], count) for component in (np.cos(turn), np.sin(turn))]
@@ -239,7 +239,7 @@ def split_by_votes(
     """Split regions that have joined surfaces which the frame before saw whole cycles apart.
 
     A step of whole cycles leaves no trace in one frame's phase; the frame before knows what lies on either side. Only
-    sound votes count: what comes into view beside a moving edge votes for what was there before. A surface whose order
+    sound votes count: what comes into view next to a moving edge votes for what was there before. A surface whose order
     was known and one whose was not stay apart, too: what looks like a joint between them may be such a step.
 
     Parameters
@@ -249,12 +249,12 @@ def split_by_votes(
     graph : PatchGraph
         The frame's patches.
     known_before : (regions + 1,) bool
-        Whether the orders of the regions before were absolute.
+        True where the orders of the regions before were absolute.
 
     Returns
     -------
     (P,) int32
-        The patch that stands for the part of each patch.
+        The patch that represents the part of each patch.
     """
     votes = _rows(votes, votes[:, SOUND] == 1)
     if len(votes) == 0:
@@ -282,7 +282,8 @@ def split_by_votes(
     inside = split[graph.root[graph.ends[0]]]
     ends, weight = graph.ends[:, inside], graph.votes[inside]
     best = np.where(evidence[:, CANDIDATES] > 0, np.argmin(evidence[:, :CANDIDATES], axis=1), -1)
-    # Contacts between patches that vote alike come first: then the parts are whole before they are asked to join.
+    # Contacts between patches that vote alike come first: then the parts are complete before they are tested for
+    # joining.
     differ = (best[ends[0]] != best[ends[1]]) & (np.minimum(best[ends[0]], best[ends[1]]) >= 0)
     ranking = np.lexsort((np.arange(len(weight)), -weight, differ))
     everywhere = np.tile(np.array([0, 1], np.int32), (len(graph.root), 1))

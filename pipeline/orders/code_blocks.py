@@ -1,7 +1,8 @@
 """The contrast of every cycle in blocks of four columns, which is what a pattern's code is read from.
 
-The contrast's logarithm is the code's plus what blur and ambient light make of a surface's contrast. What the camera's
-blur takes, which is more where a surface turns away and the fringe is finer, is put back; the rest changes slowly.
+The contrast's logarithm is the code's plus the effect of blur and ambient light on a surface's contrast. The loss to
+the camera's blur, which is larger where a surface turns away and the fringe is finer, is restored; the rest changes
+slowly.
 """
 
 from dataclasses import dataclass
@@ -27,7 +28,7 @@ from tikernels.unwrapping.patches import PatchGraph
 from tikernels.unwrapping.tables import CELL_HEIGHT, CELL_WIDTH
 
 # A cycle counts from this weight on (a full one of 12 px has 26 in a block), and from this share of a full one's; what
-# is that much shorter than the cycles beside it is cut.
+# is that much shorter than the cycles next to it is cut.
 _MIN_WEIGHT, _MIN_SHARE, _MIN_WHOLE = 6.0, 0.35, 0.7
 # Weight of a pixel row of a block, and what blur takes of a contrast's logarithm, times the square of the cycle's
 # weight. A cycle is as long as the longest of so many blocks.
@@ -36,16 +37,16 @@ _BLUR, _NEAR_BLOCKS = 2 * np.pi**2 * VARIANCE_PX * _ROW_WEIGHT**2, 9
 # Variance of the logarithm, in units of the noise's: of a mean of three channels, and of the fringe in them; a block's
 # weight counts as so many pixels.
 _OF_BACKGROUND, _OF_MODULATION, _COUNTED = 0.45, 0.9, 0.7
-# Pieces tell the ripple from this weight on, and unless they deviate by more; without any there is none (the weight
-# that this counts as).
+# Pieces determine the ripple from this weight on, and unless they deviate by more; without any there is none (the
+# weight that this counts as).
 _MIN_PIECE, _MOST_RIPPLE, _RIPPLE_DOUBT = 3.0, 0.3, 10.0
 
 
 @dataclass(frozen=True)
 class Blocks:
-    """What is seen of whole cycles, in blocks of some columns, and which patches hold them."""
+    """Contrasts of whole cycles in blocks of some columns, and the patches that hold them."""
 
-    root: Integers  # (N,) patch that stands for the part
+    root: Integers  # (N,) patch that represents the part
     order: Integers  # (N,) the cycle's order in it
     place: FloatArray  # (N, 2) row and column of its middle, px
     contrast: FloatArray  # (N,) natural logarithm, before the camera's blur
@@ -66,7 +67,7 @@ def read_blocks(
     Parameters
     ----------
     sums : (P, slots, BLOCKS, SUMS) float32
-        What `measure_contrast` summed.
+        The sums of `measure_contrast`.
     graph : PatchGraph
         The patches, joined to regions, or to parts of them.
     width : int
@@ -81,7 +82,7 @@ def read_blocks(
     patch = piece // (slots * BLOCKS)
     slot, block = piece // BLOCKS % slots, piece % BLOCKS
     row, column = graph.first // width // CELL_HEIGHT, graph.first % width // CELL_WIDTH * BLOCKS
-    # A cycle that a cell's border cuts is put together again: numbers of its pieces, one a row, follow each other.
+    # A cycle that a cell's border cuts is put together again: numbers of its pieces, one per row, follow each other.
     least, rows = graph.offset.min(initial=0), row.max(initial=0) + 2
     orders = graph.offset.max(initial=0) - least + slots
     number = graph.root.astype(np.int64) * (column.max(initial=0) + BLOCKS) + column

@@ -1,4 +1,4 @@
-"""How probable each offset of a part is, by the contrast that its blocks show of the pattern's code.
+"""Probabilities of the offsets of a part, by the contrast that its blocks show of the pattern's code.
 
 At every offset that a part may have, its blocks should show the code's contrasts there, but for a factor whose
 logarithm is a plane over the part less a share of ambient light, as where a surface turns away it is darker. Plane and
@@ -25,7 +25,7 @@ from tikernels.unwrapping.tables import CELL_HEIGHT
 # The blocks of a cycle with one symbol deviate alike, by what is not known of the response: they count as this many
 # together, those without noise most.
 OF_CYCLE = 2.0
-# Standard deviations of a part's factor: of its slopes (a px), of ambient light's share, and of its middle, about the
+# Standard deviations of a part's factor: of its slopes (per px), of ambient light's share, and of its middle, about the
 # frame's once that is known.
 _SLOPE, _AMBIENT, _GAIN, _ANY_GAIN = 5e-4, 0.25, 0.08, 0.5
 # A large part's likeliest offsets are found by some of its blocks, and weighed by many; those of which the logarithm of
@@ -39,24 +39,24 @@ _UNUSUAL = 0.1
 # Shifts of half a cell either way that are tried, which share of a cell is too far to be believed, and by how much
 # likelier one far off must be than any other, and than no code at all.
 _SHIFTS, _MOST_SHIFT, _SURE_SHIFT = 13, 0.25, 33.0
-# Where all offsets are tried at many shifts, so many of a part's blocks are looked at.
+# Where all offsets are tried at many shifts, so many of a part's blocks are used.
 _FEWEST = 25
 # By how much likelier than no code, or another one, a frame's largest parts must be to show it (natural logarithm), or
 # its largest one not to; and how much that may count for other parts: where the rig has been turned a part of the
 # picture may lie elsewhere. It is plain to see where it is likelier by so much a block.
 _SHOWN, _MOST_TRUST, _PLAIN = 6.0, 12.0, 0.25
 # A factor changes from surface to surface of a part: of parts of more blocks than this, what is left of it in so many
-# blocks and rows of patches around each is taken off, averaged over blocks of the same class of brightness and the
-# classes beside it, so many to a factor of two.
+# blocks and rows of patches around each is subtracted, averaged over blocks of the same class of brightness and the
+# adjacent classes, so many to a factor of two.
 _FLATTENED, _AROUND, _CLASSES = 100, (5, 3), 2
 # From so many cycles off its middle on a cycle is cut, and what its neighbours' levels then count, a cycle: half of
 # what they do for the contrast itself, which the levels have softened.
 _OFF, _OF_NEIGHBOURS = 0.02, 0.6
 # Offsets of a part under which responses, or shifts, are compared.
 _NAMED = 3
-# So many of the largest parts tell what all parts of a frame have in common.
-_TELLING = 3
-# By how many standard deviations a block may be off where it is compared with those beside it.
+# So many of the largest parts determine what all parts of a frame have in common.
+_LARGEST = 3
+# By how many standard deviations a block may be off where it is compared with its neighbours.
 _MOST_APART = 3.0
 # Outside every code.
 _NO_ORDER = -1e6
@@ -64,15 +64,15 @@ _NO_ORDER = -1e6
 
 @dataclass(frozen=True)
 class Factor:
-    """What a part's contrasts have in common beside the code: the logarithm of a factor."""
+    """The factor that a part's contrasts share in addition to the code, as its logarithm."""
 
     middle: FloatArray  # (2,) row and column, px
     brightness: float  # levels
-    terms: FloatArray  # (4, ...) at the middle, slopes a row and a column, and by ambient light; usual ones are 1
+    terms: FloatArray  # (4, ...) at the middle, slopes per row and per column, and by ambient light; usual ones are 1
 
     @staticmethod
     def shape(place: FloatArray, brightness: FloatArray, middle: FloatArray, usual: float) -> FloatArray:
-        """Return (n, 4): what a factor is made of, at these places."""
+        """Return (n, 4): the terms of a factor at these places."""
         darker = _AMBIENT * np.clip(usual / brightness - 1, -1, 3)
         return np.column_stack([np.ones(len(place)), _SLOPE * (place - middle), darker])
 
@@ -83,7 +83,7 @@ class Factor:
 
 @dataclass(frozen=True)
 class PartEvidence:
-    """What a part's blocks say of each of its offsets."""
+    """Evidence of a part's blocks for each of its offsets."""
 
     first: int  # the smallest offset
     likelihood: FloatArray  # (n,) logarithm, of that offset and those that follow
@@ -93,7 +93,7 @@ class PartEvidence:
 
     @property
     def best(self) -> int:
-        """The likeliest offset; 0 where nothing is known."""
+        """The likeliest offset; 0 where none is known."""
         return self.first + int(self.likelihood.argmax()) if len(self.likelihood) else 0
 
     def no_code(self, trust: float) -> float:
@@ -150,20 +150,20 @@ class CodeReader:
     code : ContrastCode
         The pattern's.
     columns : StripeColumns, optional
-        Where places look at each order; only a code that changes along the stripe needs them.
+        Projector columns of places at each order; only a code that changes along the stripe needs them.
     """
 
     def __init__(self, blocks: Blocks, code: ContrastCode, columns: StripeColumns | None) -> None:
         self.blocks = blocks
         self.cycles = CYCLES if columns is None else min(CYCLES, int(columns.cycles) + 1)
         self.code = code
-        #: By how many px the code lies further along the stripe than the calibration says.
+        #: Shift of the code along the stripe from its calibrated place, px.
         self.shift_px = self._moved_px = 0.0
         self._gain: float | None = None
         self._parts: dict[bytes, PartBlocks] = {}
         #: Logarithm by how much likelier the code lies where it is expected than anywhere else.
         self.trust = 0.0
-        #: Whether the frame shows the code there so clearly that nobody need look for it anywhere else.
+        #: True if the frame shows the code there so clearly that it need not be searched for elsewhere.
         self.is_plain = False
         #: (N, 4) where each block looks along the stripe: terms of a polynomial of its order, px.
         self.columns, width_px = np.zeros((len(blocks.order), 4), np.float32), 0.0
@@ -263,7 +263,7 @@ class CodeReader:
         return np.asarray(np.minimum(1.0, OF_CYCLE * precision / np.bincount(cycle, precision)[cycle]))
 
     def read(self, which: Integers) -> PartEvidence:
-        """Return what the blocks (n,) of a part say of its offsets."""
+        """Return the evidence of the blocks (n,) of a part for its offsets."""
         if len(which) == 0:
             return _UNREAD
         part = self._part(which)
@@ -337,13 +337,13 @@ class CodeReader:
         return [sort[first:last] for first, last in zip(*ends, strict=True)]
 
     def read_all(self, parts: Integers) -> list[PartEvidence]:
-        """Return what the blocks of each part (n,) say."""
+        """Return the evidence of the blocks of each part (n,)."""
         return [self.read(own) for own in self.blocks_of(parts)]
 
     def learn(self) -> bool | None:
-        """Take response, usual factor and shift from the frame's largest parts, and say if it shows the code.
+        """Take response, usual factor and shift from the frame's largest parts, and return whether it shows the code.
 
-        None: nothing tells.
+        None: unknown.
         """
         largest = self._largest()
         if not largest:
@@ -378,7 +378,7 @@ class CodeReader:
     def _largest(self) -> list[Integers]:
         """Return the blocks of the largest parts."""
         roots, counts = np.unique(self.blocks.root, return_counts=True)
-        largest = self.blocks_of(roots[np.argsort(counts)[-_TELLING:]])
+        largest = self.blocks_of(roots[np.argsort(counts)[-_LARGEST:]])
         return [some for some in largest if len(self.offsets(some))]
 
     def _shift_near(self, parts: list[PartBlocks], offsets: list[int]) -> float:
@@ -415,13 +415,13 @@ class CodeReader:
 
     @property
     def is_far(self) -> bool:
-        """Whether the code lies too far off to be read there."""
+        """True if the code is too far off to be read there."""
         return self.code.cell_px is not None and abs(self.shift_px) > _MOST_SHIFT * self.code.cell_px
 
     def shift_anywhere(self) -> float | None:
-        """Return the shift over half a repeat of the code either way, whatever the offsets; None: nothing tells.
+        """Return the shift over half a repeat of the code either way, whatever the offsets; None: unknown.
 
-        Elsewhere nothing tells the response either: a linear and the usual one are tried; and each block counts.
+        Elsewhere the response is unknown, too: a linear and the usual one are tried; and each block counts.
         """
         if self.code.cell_px is None:
             return None
@@ -480,7 +480,7 @@ def _thinned(values: npt.NDArray[np.float32], most: int) -> npt.NDArray[np.float
 
 
 def _peak(places: FloatArray, values: FloatArray) -> float:
-    """Return where values are largest, by a parabola through the largest and those beside it."""
+    """Return where values are largest, by a parabola through the largest and its neighbours."""
     k = min(max(int(values.argmax()), 1), len(values) - 2)
     low, here, high = values[k - 1 : k + 2]
     bend = low - 2 * here + high

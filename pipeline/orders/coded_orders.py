@@ -1,4 +1,4 @@
-"""Which cycle of a coded pattern a surface shows: the orders of a single frame, absolute.
+"""Absolute orders of a single frame: the cycles of a coded pattern that its surfaces show.
 
 The logarithm of the contrast is the code's but for a factor that changes slowly (`code_blocks`). Regions that the code
 contradicts are cut (`region_cutting`). Every part gets a posterior over its offsets by what its blocks show
@@ -29,8 +29,8 @@ from pipeline.orders.stripe_columns import StripeColumns
 from tikernels.order_evidence.offset_labelling import connected_parts
 from tikernels.unwrapping.patches import MIN_REGION_PX, PatchGraph
 
-# How probably a piece that the labels have cut off, which hangs together with its region, has that one's orders before
-# its own blocks are asked; and from which probability on it is no piece of its own.
+# How probably a piece that the labels have cut off, which is connected with its region, has that one's orders before
+# its own blocks are read; and from which probability on it is no piece of its own.
 _SAME_SURFACE = 0.9
 # Which share of a part's pixels may have moved before the part is read anew.
 _MOST_MOVED = 0.1
@@ -38,14 +38,14 @@ _MOST_MOVED = 0.1
 
 @dataclass(frozen=True)
 class CodedOrders:
-    """What a frame's code tells."""
+    """Orders that a frame's code determines."""
 
-    roots: npt.NDArray[np.int32]  # (P,) the patch that stands for each patch's part
+    roots: npt.NDArray[np.int32]  # (P,) the patch that represents each patch's part
     absolute: AbsoluteOrders  # the parts that are large enough, and their posteriors
     shifts: Integers  # (P,) whole cycles to add to the patches' orders so that they are their part's
     torn: npt.NDArray[np.bool_]  # (P,) patches that may belong to either of two parts
-    readable: bool | None  # whether the frame shows the code where it is expected; None: too little of it to say
-    #: By how many projector px it lies further along the stripe than the calibration says; None: nobody knows.
+    readable: bool | None  # whether the frame shows the code where it is expected; None: too little of it to decide
+    #: Shift along the stripe from its calibrated place, projector px; None: unknown.
     shift_px: float | None
 
 
@@ -64,19 +64,19 @@ def find_absolute_orders(
     Parameters
     ----------
     sums : (P, slots, BLOCKS, SUMS) float32
-        What `measure_contrast` summed.
+        The sums of `measure_contrast`.
     graph : PatchGraph
         The patches, joined to regions.
     code : ContrastCode
         The pattern's.
     columns : StripeColumns, optional
-        Where places look; a code that changes along the stripe needs them.
+        Projector columns of places; a code that changes along the stripe needs them.
     width : int
         The image's, px.
     noise : float
         Standard deviation of a channel, levels.
     order_range : OrderRange, optional
-        What else is known of the orders.
+        Bounds of the orders by other evidence.
     """
     blocks = read_blocks(sums, graph, width, noise)
     reader = CodeReader(blocks, code, columns)
@@ -134,9 +134,9 @@ def _unread(graph: PatchGraph, order_range: OrderRange | None, elsewhere_px: flo
 def _placed(
     reader: CodeReader, graph: PatchGraph, width: int, roots: npt.NDArray[np.int32], main: Integers
 ) -> tuple[Integers, list[PartEvidence], list[Posterior]]:
-    """Return the parts that are large enough, what their blocks say, and how probable each of their offsets is.
+    """Return the parts that are large enough, the evidence of their blocks, and the posteriors of their offsets.
 
-    A piece that was cut off hangs together with its region: that, too, is known of its offset.
+    A piece that was cut off is connected with its region: that, too, is known of its offset.
     """
     pixels = np.bincount(roots, graph.pixels, len(roots)).astype(np.int64)
     parts = np.flatnonzero(pixels >= MIN_REGION_PX)
@@ -148,7 +148,7 @@ def _placed(
     posteriors = [part.posterior(0.0, float(more), reader.trust) for part, more in zip(read, luck, strict=True)]
     sure = [k for k, found in enumerate(posteriors) if found.error(found.best) < MAX_ABSOLUTE_ERROR]
     if sure:
-        # What these tell of the others.
+        # What these determine about the others.
         lacking = nearness(graph, roots, width, {int(parts[k]): posteriors[k].best for k in sure})
         for k, (part, of_region, seen) in enumerate(zip(parts, origin, read, strict=True)):
             if of_region in (-1, part):
@@ -194,7 +194,7 @@ def _cut_off(before: npt.NDArray[np.int32], roots: npt.NDArray[np.int32], graph:
 
 
 def _standing(roots: npt.NDArray[np.int32], graph: PatchGraph) -> npt.NDArray[np.int32]:
-    """Return (P,) the patch that stands for each part now: its root may have moved to another part."""
+    """Return (P,) the patch that represents each part now: its root may have moved to another part."""
     standing = np.arange(len(roots), dtype=np.int32)
     for part in np.unique(roots[roots[roots] != roots]):
         held = np.flatnonzero(roots == part)

@@ -1,10 +1,10 @@
-"""What a coded pattern's changing contrast does to the phase, and what undoes it (`docs/coded_pattern.md`).
+"""The effect of a coded pattern's changing contrast on the phase, and its correction (`docs/coded_pattern.md`).
 
 Response and contrast: what the response adds to the phase, in its third harmonic, goes with the contrast. Blur weakens
 the fringe's upper sideband more than its lower one, which turns a change of the modulation into one of the phase: by
 (2 pi s)^2 / (2 pi) of its logarithm's slope, for a Gaussian of s cycles. And what the balance's window passes of the
-fringe where the contrast changes within it turns the colours, and the phase with them. How much of each there is, a
-frame's phases tell: a smooth surface hardly bends within a cycle.
+fringe where the contrast changes within it turns the colours, and the phase with them. A frame's phases show how much
+of each there is: a smooth surface hardly bends within a cycle.
 """
 
 from functools import cache
@@ -21,8 +21,8 @@ from tikernels.phase.balance_window import SIGMA_ACROSS
 
 # Where the phase bends by more (rad) within a cycle, the surface does.
 _MAX_BEND = 0.3
-# How much of the ripples is usual, as a standard deviation: shares of what the contrast makes of the response and of
-# what the window passes, and rad for blur.
+# How much of the ripples is usual, as a standard deviation: shares of the contrast's effect on the response and of what
+# the window passes, and rad for blur.
 _USUAL_SHARES = np.array([0.3, 0.03, 0.3])
 # The modulation's slope is taken over so many cycles to either side: blur rounds the tips of the code off.
 _SLOPE_REACH = 0.2
@@ -71,15 +71,15 @@ def measure_ripples(
     region : (H, W) int32
         Number of each pixel's region; 0 outside.
     known : (regions + 1,) bool
-        Whether a region's orders are absolute.
+        True where a region's orders are absolute.
     within : (2, bins + 1) float32
         See `CodeRipples`.
     period_px : float
-        Rows a cycle.
+        Rows per cycle.
     code : ContrastCode
         The pattern's.
     columns : StripeColumns, optional
-        Where places look; a code that changes along the stripe needs them.
+        Projector columns of places; a code that changes along the stripe needs them.
     """
     table = code_ripples(code)
     nodes = np.zeros((raw.shape[0] // NODE_PX + 2, raw.shape[1] // NODE_PX + 2, 4), np.float32)

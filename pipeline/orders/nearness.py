@@ -1,4 +1,4 @@
-"""Where the parts of a frame that the code has surely placed lead one to expect the others.
+"""Expected places of a frame's parts, from those that the code has surely placed.
 
 Surfaces are near each other rather than anywhere in the projector's picture.
 """
@@ -10,21 +10,21 @@ from pipeline.models import FloatArray
 from pipeline.orders.posterior import Integers
 from tikernels.unwrapping.patches import PatchGraph
 
-# Half of all surfaces lie within this many cycles of those that are known, beside a plane through the frame.
+# Half of all surfaces lie within this many cycles of those that are known, relative to a plane through the frame.
 _NEAR_CYCLES = 4.0
 
 
 def nearness(
     graph: PatchGraph, roots: npt.NDArray[np.int32], width: int, offsets: dict[int, int]
 ) -> npt.NDArray[np.float64]:
-    """Return how many cycles each part lacks, from which on it lies where the frame's placed parts are.
+    """Return the number of cycles that each part lacks to lie where the frame's placed parts are.
 
     Parameters
     ----------
     graph : PatchGraph
         The patches.
     roots : (P,) int32
-        The patch that stands for each patch's part.
+        The patch that represents each patch's part.
     width : int
         The image's, px.
     offsets : dict

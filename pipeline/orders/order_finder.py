@@ -1,7 +1,7 @@
-"""Which whole cycles every region of a frame has: by the pattern's code, the frame before, or the expected depth.
+"""The whole cycles of every region of a frame: by the pattern's code, the frame before, or the expected depth.
 
-`find` asks all that tells and returns where regions are to be split and what their offsets are, `region_orders` says of
-each region what is known of it, and `refine` uses a code that is known now: it corrects the phase by each cycle's
+`find` combines all evidence and returns where regions are to be split and what their offsets are, `region_orders`
+returns the state of each region, and `refine` uses a code that is known now: it corrects the phase by each cycle's
 modulation.
 """
 
@@ -34,16 +34,16 @@ from tikernels.unwrapping.patches import MIN_REGION_PX, Patches, PatchGraph, Reg
 
 # Where more of the surface than this does not fit into the depth range, the range is not believed.
 _MAX_OUT_OF_RANGE = 0.02
-# With a code, the share of pixels without an absolute order from which the user is told.
+# With a code, the share of pixels without an absolute order from which the user is warned.
 _MAX_LOST = 0.02
 # Where a code that is not stated places more than this share of the pixels, the frame shows it.
 _MIN_CODED = 0.5
-# A part that is a smaller share of the frame, and whose likeliest order is wrong with a higher probability, may have
-# any depth, and is left out: a nose's tip that its shadow cuts off would stand somewhere before the face.
+# Drop parts that are a smaller share of the frame and whose likeliest order is wrong with a higher probability: their
+# depth would be arbitrary, as of a nose's tip that its shadow cuts off.
 _MIN_GUESSED, _MAX_GUESS = 0.01, 0.5
-# Patterns have some hundreds of cycles; float32 tells the phase of this many to a hundredth of a radian.
+# Patterns have some hundreds of cycles; float32 resolves the phase of this many to a hundredth of a radian.
 _MOST_CYCLES = 1e4
-# At least one part in as many is not the surface that the frame before saw there, whatever the votes say.
+# At least one part in as many is not the surface that the previous frame saw there, whatever the votes are.
 _LEAST_CARRIED_ERROR = 1e-3
 
 _CODE_NOT_SEEN = Cause(
@@ -53,7 +53,7 @@ _CODE_NOT_SEEN = Cause(
 )
 _CODE_TOO_WEAK = Cause("code too weak", "the contrast code cannot be read in this frame")
 _OUT_OF_RANGE = (
-    "{:.0%} of the surface fits at no order into the depth range of {:g} to {:g} mm, which therefore tells none: "
+    "{:.0%} of the surface fits at no order into the depth range of {:g} to {:g} mm, which therefore determines none: "
     "give the range of all that is in view"
 )
 _OTHER_SCENE = Cause("other scene", "nothing of the frame before is seen again: the orders start afresh")
@@ -61,7 +61,7 @@ _OTHER_SCENE = Cause("other scene", "nothing of the frame before is seen again: 
 
 @dataclass(frozen=True, eq=False)
 class SeenPhase:
-    """What finding orders sees of a frame; on the device, stripes along the rows."""
+    """The phase of a frame whose orders are searched; on the device, stripes along the rows."""
 
     image: LevelsImage  # (H, W, 3) linear light
     gains: Gains  # of the colour balance
@@ -77,15 +77,15 @@ class SeenPhase:
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """What a frame's evidence says of its orders, and what it gives reason to doubt."""
+    """A frame's orders by its evidence, and warnings about them."""
 
-    roots: npt.NDArray[np.int32] | None  # (P,) where regions are split: the patch that stands for each patch's part
-    orders: AbsoluteOrders | None  # by all that tells: a code, the depth range and the frame before
+    roots: npt.NDArray[np.int32] | None  # (P,) where regions are split: the patch that represents each patch's part
+    orders: AbsoluteOrders | None  # by all evidence: a code, the depth range and the previous frame
     carried: CarriedOrders | None  # by the frame before, absolute or not
-    coded: bool  # whether a code tells
+    coded: bool  # whether a code determines them
     left_out: npt.NDArray[np.bool_] | None  # (P,) patches of specks that nothing places, and torn ones
     warning: Cause | None  # what the user should know
-    shift_px: float | None = None  # by how many projector px the code lies off along the stripe; None: nothing tells
+    shift_px: float | None = None  # the code's shift along the stripe, projector px; None: unknown
 
     def offsets(self) -> tuple[npt.NDArray[np.integer], npt.NDArray[np.integer]]:
         """Return the roots of regions, and the whole cycles to add to their orders; later ones overrule earlier ones.
@@ -97,8 +97,8 @@ class Placement:
         if self.orders is not None:
             likeliest = self.orders.offsets
             errors = self.orders.error_probability(likeliest)
-            told, sure = errors < (1 if self.coded else 0), errors < MAX_ABSOLUTE_ERROR
-            named = [(self.orders.parts[which], likeliest[which]) for which in (told, sure)]
+            placed, sure = errors < (1 if self.coded else 0), errors < MAX_ABSOLUTE_ERROR
+            named = [(self.orders.parts[which], likeliest[which]) for which in (placed, sure)]
         if self.carried is not None:
             named.insert(1, (self.carried.roots, self.carried.offsets))
         none = np.zeros((2, 0), np.int64)
@@ -141,11 +141,11 @@ def with_frame_before(
     Parameters
     ----------
     absolute : AbsoluteOrders, optional
-        What this frame tells by itself.
+        Orders by this frame alone.
     carried : CarriedOrders, optional
-        How its parts go on from the frame before.
+        Its orders carried from the previous frame.
     before : RegionOrders, optional
-        What was known there.
+        Those of the previous frame.
     """
     if carried is None or before is None:
         return absolute
@@ -169,14 +169,14 @@ class OrderFinder:
     code : ContrastCode or None
         The pattern's; it may be set later.
     geometry : Geometry, optional
-        The rig's; with it, the depth tells what the orders may be.
+        The rig's; with it, the depth limits the orders.
     depth_range_mm : (2,) float, optional
-        Where surfaces may be.
+        Depths that surfaces may have.
 
     Raises
     ------
     CalibrationError
-        Nothing tells where the object is.
+        The object's distance is unknown.
     """
 
     def __init__(
@@ -275,9 +275,9 @@ class OrderFinder:
         Returns
         -------
         bool
-            Whether anything was corrected.
+            True if anything was corrected.
         Cause or None
-            What the user should know.
+            A warning for the user.
         """
         if self.code is None:
             return False, None
@@ -302,7 +302,7 @@ class OrderFinder:
         return corrected, None
 
     def shows_a_code(self, seen: SeenPhase, patches: Patches) -> bool:
-        """Whether a frame shows a code that neither settings nor calibration state."""
+        """Return whether a frame shows a code that neither settings nor calibration state."""
         graph, width = patches.graph(), int(seen.image.shape[1])
         blocks = read_blocks(_contrasts(seen, patches), graph, width, seen.noise)
         # Most frames without a code are recognised here, and need no kernels that read one.
@@ -333,7 +333,7 @@ class OrderFinder:
     def _place_by_depth(
         self, seen: SeenPhase, graph: PatchGraph, roots: npt.NDArray[np.int32] | None, rays: CameraRays | None
     ) -> tuple[AbsoluteOrders | None, Cause | None]:
-        """Find the orders that the depth range leaves possible, and say if it does not hold what is in view."""
+        """Find the orders that the depth range leaves possible, and warn if it does not contain what is in view."""
         order_range = self._order_range(seen, graph, rays)
         if order_range is None or self._depth_range_mm is None:
             return None, None
@@ -372,8 +372,8 @@ def _contrasts(seen: SeenPhase, patches: Patches) -> npt.NDArray[np.float32]:
 
 
 def _moved(shift_px: float) -> Cause:
-    """Return that the code lies elsewhere than the calibration says."""
-    words = f"the pattern lies {abs(shift_px):.1f} projector px along the stripe from where the calibration says"
+    """Return a warning that the code is not at its calibrated place."""
+    words = f"the pattern lies {abs(shift_px):.1f} projector px along the stripe from its calibrated place"
     return Cause("rig moved", f"{words}: camera or projector have moved since, calibrate geometry again")
 
 
@@ -399,6 +399,6 @@ def _expected_depth(geometry: Geometry, depth_range_mm: tuple[float, float] | No
     depth = geometry.working_distance_mm()
     if depth is None:
         raise CalibrationError(
-            "camera and projector look in parallel, so nothing tells how far the object is: give depth_range_mm"
+            "camera and projector look in parallel, so the object's distance is unknown: give depth_range_mm"
         )
     return depth

@@ -1,8 +1,8 @@
-"""How probable each whole number of cycles is that a region's orders may lack to be absolute.
+"""Probabilities of the whole numbers of cycles that a region's orders may lack to be absolute.
 
 The code gives a part its posterior (`code_evidence`). Every other source of evidence takes a posterior and returns it
-with what it knows taken in: `PartRange.narrow` the expected depth, `Posterior.beside` the surfaces around, and
-`Posterior.after` the frame before. A further source, such as a second camera, does the same.
+updated: `PartRange.narrow` the expected depth, `Posterior.beside` the surfaces around, and `Posterior.after` the frame
+before. A further source, such as a second camera, does the same.
 """
 
 from dataclasses import dataclass
@@ -23,15 +23,15 @@ _RANGE_SIGMA = 0.2
 # range if it lies four standard deviations outside.
 _FLOOR, _FAR_OUTSIDE = 1e-6, 0.8
 # This share of a region's pixels may lie outside at either end: rims, and what leaked in from other surfaces. Where the
-# range alone is to tell the order, only the second share may, and the others by this fraction of a cycle.
+# range alone determines the order, only the second share may, and the others by this fraction of a cycle.
 _OUTLIERS, _STRAYS, _LEAVES = 0.1, 0.02, 0.25
-# Where nothing else is known, a part that does not go on as before may lack this many cycles more or less.
+# Where nothing else is known, a part that does not continue may lack this many cycles more or less.
 _ELSEWHERE = 10
 
 
 @dataclass(frozen=True)
 class OrderRange:
-    """How many cycles each patch may lack: what the projector's picture and the expected depth leave possible."""
+    """Bounds of the cycles that each patch may lack, by the projector's picture and the expected depth."""
 
     least: FloatArray  # (P,)
     most: FloatArray  # (P,)
@@ -51,7 +51,7 @@ class OrderRange:
 
 @dataclass(frozen=True)
 class PartRange:
-    """How many cycles a part may lack."""
+    """Bounds of the cycles that a part may lack."""
 
     least: float
     most: float
@@ -60,11 +60,11 @@ class PartRange:
 
     @property
     def holds(self) -> bool:
-        """Whether the range holds the whole part: else it says nothing of it, and is not what it was said to be."""
+        """True if the range holds the whole part: otherwise the stated range is wrong, and determines nothing."""
         return self.outside <= _LEAVES
 
     def alone(self) -> "Posterior":
-        """Return the posterior of a part of which nothing else is known, if anybody has said where surfaces are."""
+        """Return the posterior of a part of which nothing else is known, if a depth range is given."""
         if not self.of_depth or not self.holds:
             return NOTHING_KNOWN
         ends = sorted((self.least, self.most))
@@ -73,7 +73,7 @@ class PartRange:
         return self.narrow(Posterior(first, flat))
 
     def narrow(self, posterior: "Posterior") -> "Posterior":
-        """Return a posterior with the range taken in: one of which nothing is known if it contradicts it."""
+        """Return a posterior updated by the range: an unknown one if the range contradicts it."""
         offsets = posterior.first + np.arange(len(posterior.probability))
         outside = np.maximum(np.maximum(self.least - offsets, offsets - self.most), 0)
         prior = np.exp(-0.5 * (outside / _RANGE_SIGMA) ** 2)
@@ -89,14 +89,14 @@ class PartRange:
 
 @dataclass(frozen=True)
 class Posterior:
-    """How probable each offset of a part is."""
+    """Probability of each offset of a part."""
 
     first: int  # offset
     probability: FloatArray  # of that offset and the following ones; empty: nothing is known
 
     @property
     def best(self) -> int:
-        """The likeliest offset; 0 where nothing is known."""
+        """The likeliest offset; 0 where none is known."""
         return self.first + int(self.probability.argmax()) if len(self.probability) else 0
 
     def error(self, offset: int) -> float:
@@ -108,7 +108,7 @@ class Posterior:
         return float(self.probability[:place].sum() + self.probability[place + 1 :].sum())
 
     def beside(self, offset: int | None, probability: float) -> "Posterior":
-        """Return the posterior of a part that has, as far as its neighbours tell, this offset with this probability."""
+        """Return the posterior of a part that has this offset with this probability according to its neighbours."""
         place = None if offset is None else offset - self.first
         if place is None or not 0 <= place < len(self.probability) or len(self.probability) < 2:
             return self

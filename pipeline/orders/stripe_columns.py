@@ -1,4 +1,4 @@
-"""Which column of the projector a camera's pixel sees at every order that it may have.
+"""Columns of the projector that a camera's pixel sees at every order that it may have.
 
 A pixel's ray crosses the stripes, and its column changes by a few projector px over all depths: a polynomial of the
 order, whose coefficients change slowly over the picture.

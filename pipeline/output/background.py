@@ -1,8 +1,8 @@
-"""The wanted part of a range image: a box, or the object, which stands before the background.
+"""The wanted part of a range image: a box, or the object, which is in front of the background.
 
 The background is the largest plane: the one that most points lie on, by their standard deviations and one per mille of
 their distance, of planes through three points drawn by chance [1]; then a plane fitted to those by least squares, with
-their residuals' own scatter as the tolerance. What it meets only in passing, as an object that stands on it or reaches
+their residuals' own scatter as the tolerance. What it meets only in passing, as an object that is on it or reaches
 through it, stays: a pixel belongs to the plane where a square of pixels around it does.
 
 In a range image without points the plane is found in 1 / depth, which a camera without a lens's distortion sees as a
@@ -87,7 +87,7 @@ def on_largest_plane(points: Floats, sigma: Floats, mask: Pixels, seed: int = 0)
     sigma : (H, W) float32
         Their standard deviations, mm.
     mask : (H, W) bool
-        Where they are.
+        True where they are measured.
     seed : int
         Of the planes that are tried; the same one gives the same result.
 

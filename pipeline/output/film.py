@@ -2,7 +2,8 @@
 
 A film is drawn in parts, side by side, in processes that read, draw and encode one frame after another. Each part is a
 file in a folder next to the film, ``.film.mp4.parts``, whose name holds the hash of all that it shows; so a film that
-was stopped goes on where it was, and what has changed since is drawn anew. At the end the parts are joined as they are.
+was stopped continues where it was, and what has changed since is drawn anew. At the end the parts are joined as they
+are.
 """
 
 import hashlib
@@ -39,7 +40,7 @@ from pipeline.output.stored_result import StoredResult
 _MOST_PICTURES, _LEAST_PICTURES, _SHORT_PARTS = 24, 6, 4
 
 # Quality of H.264 and of MPEG-4 that shows no blocks. One thread: parts of a film are encoded side by side. No picture
-# is made of later ones, so that parts follow each other without a gap.
+# depends on later ones, so that parts follow each other without a gap.
 _X264 = {"crf": "17", "preset": "veryfast", "threads": "1", "bf": "0"}
 _MPEG4 = {"qmin": "2", "qmax": "5"}
 
@@ -52,7 +53,7 @@ class Film:
     before: int
     """Pictures that a run before had drawn."""
     held: tuple[int, ...]
-    """Frames that are not there, or show nothing: the one before stands in for them."""
+    """Frames that are not there, or show nothing: the one before replaces them."""
     broken: dict[int, str]
     """Those of them that are damaged, and how."""
     codec: str
@@ -67,7 +68,7 @@ def render_film(
     frame: int | None = None,
     compared: Mesh | None = None,
     timeout_s: float = 120.0,
-    tell: Callable[[int, int], None] = lambda done, of: None,
+    notify: Callable[[int, int], None] = lambda done, of: None,
     remark: Callable[[str], None] = lambda line: None,
 ) -> Film:
     """Draw a film off screen: of every frame of a store, from its first to its last one; or of a single surface.
@@ -79,17 +80,17 @@ def render_film(
     path : str or Path
         The MP4 file.
     options : PictureOptions, optional
-        Where the eye goes, colours, rate and size.
+        The eye's path, colours, rate and size.
     frame : int, optional
         The only frame to show of a store.
     compared : Mesh, optional
         Another mesh, the signed distance from which colours show.
     timeout_s : float
         Time without a new image after which drawing is given up, s.
-    tell : callable
-        Receives how many of how many images are drawn; first how many were before.
+    notify : callable
+        Called with the number of images drawn and of all; first with the number drawn by earlier runs.
     remark : callable
-        Is given a line where the user should know something of the film.
+        Called with each line that the user should know about the film.
 
     Raises
     ------
@@ -122,7 +123,7 @@ def render_film(
             compared_name = str(folder / compared_name)
         job = PictureJob.model_validate({**where, "options": options, "numbers": numbers, "compared": compared_name})
         with locked(path):
-            return _FilmRun(job, source, path, folder, timeout_s, tell, remark).run()
+            return _FilmRun(job, source, path, folder, timeout_s, notify, remark).run()
 
 
 def _wanted(result: StoredResult) -> tuple[int, ...]:
@@ -145,12 +146,12 @@ class _FilmRun:
         path: Path,
         folder: Path,
         timeout_s: float,
-        tell: Callable[[int, int], None],
+        notify: Callable[[int, int], None],
         remark: Callable[[str], None],
     ) -> None:
         self._remarks, self._remark = set[str](), remark
         self._job, self._source, self._path, self._folder = job, source, path, folder
-        self._timeout_s, self._tell = timeout_s, tell
+        self._timeout_s, self._notify = timeout_s, notify
         self._work = path.with_name(f".{path.name}.parts")
         self._lock, self._stopped = threading.Lock(), False
         self._drawn: dict[int, int] = {}  # pictures of each part, by its first one's number
@@ -163,7 +164,7 @@ class _FilmRun:
         try:
             return self._made(self._parts())
         finally:
-            with suppress(OSError):  # what holds something stays, for the next run to go on
+            with suppress(OSError):  # what holds something stays, for the next run to continue
                 self._work.rmdir()
 
     def _made(self, parts: list[FilmPart]) -> Film:
@@ -171,7 +172,7 @@ class _FilmRun:
         self._keep_only([part for part in parts if part not in todo])
         before = len(self._job.numbers) - sum(part.stop - part.first for part in todo)
         self._drawn = {part.first: part.stop - part.first for part in parts if part not in todo}
-        self._tell(before, len(self._job.numbers))
+        self._notify(before, len(self._job.numbers))
         renderer = self._draw(todo) if todo else "an earlier run"
         records = [part.record() for part in parts]
         held = [number for record in records for number in record.held]
@@ -241,14 +242,14 @@ class _FilmRun:
             if "drawn" in said:
                 with self._lock:
                     self._drawn[said["part"]] = said["drawn"]
-                    self._tell(sum(self._drawn.values()), len(self._job.numbers))
+                    self._notify(sum(self._drawn.values()), len(self._job.numbers))
 
         job = self._job.replace(parts=tuple(parts))
         return draw_apart(job, folder, self._timeout_s, hear, remark=self._remarks.add, threads=threads)
 
 
 def _whole(part: FilmPart) -> bool:
-    """Whether a part is there, and none of its frames was damaged, which may have been repaired since."""
+    """Return whether a part is there, and none of its frames was damaged, which may have been repaired since."""
     file = Path(part.path)
     try:
         record = part.record()
@@ -280,7 +281,7 @@ class FilmEncoder:
         self._stream: Any = self._container.add_stream(self.codec, rate=rate, options=settings)
         self._stream.width, self._stream.height = size_px
         self._stream.pix_fmt = "yuv420p"
-        # Of a file that does not say it, players guess the matrix by the number of rows: 1 is BT.709, limited range.
+        # Where a file does not specify it, players guess the matrix by the number of rows: 1 is BT.709, limited range.
         context = self._stream.codec_context
         context.colorspace = context.color_primaries = context.color_trc = context.color_range = 1
 

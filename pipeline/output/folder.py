@@ -1,7 +1,7 @@
-"""The folder that decoding fills: made whole, or not at all, and without losing what is not ours.
+"""The folder that decoding fills: written completely, or not at all, and without losing foreign files.
 
 Ours is what `report.json` names with the length and SHA-256 that it still has, `report.json` itself, and a
-``result.zarr`` that says so. A mesh that was edited and kept its name is its user's.
+``result.zarr`` that is marked as such. A mesh that was edited and kept its name is its user's.
 """
 
 import hashlib
@@ -29,10 +29,10 @@ from pipeline.output.range_image import shade_range, write_png, write_range_imag
 from pipeline.output.store import WORTH_SAYING, holds_footage, in_bytes, is_there, write_store
 from pipeline.output.surface_mesh import MeshOptions, counted_mesh
 
-#: The result in an output folder, and the folder of meshes beside it.
+#: The result in an output folder, and the folder of meshes next to it.
 STORE, MESHES = "result.zarr", "meshes"
 _REPORT = "report.json"
-# What a report says of the files beside it: the mark of each, by name.
+# A report's entry for the files next to it: the mark of each, by name.
 _FILES = "files"
 # Bytes; no report is longer.
 _MOST_REPORT = 2**20
@@ -48,7 +48,7 @@ def output_folder(path: str | Path, *, force: bool = False) -> Iterator[Path]:
     path : str or Path
         The output folder; made if it does not exist.
     force : bool
-        Whether it may hold other things than an earlier result.
+        True if it may hold other things than an earlier result.
 
     Raises
     ------
@@ -68,7 +68,7 @@ def output_folder(path: str | Path, *, force: bool = False) -> Iterator[Path]:
         elif path.exists():
             raise OutputError(f"{path} is a file: choose a folder")
         path.parent.mkdir(parents=True, exist_ok=True)
-        # Beside the output folder, so that moving is renaming.
+        # Next to the output folder, so that moving is renaming.
         work = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
         yield work
         path.mkdir(exist_ok=True)
@@ -151,7 +151,7 @@ def store_in(place: str) -> str:
 
 
 def is_plain_name(name: str) -> bool:
-    """Whether a name is that of something in a folder, and not of what is elsewhere."""
+    """Return whether a name is that of something inside a folder, not elsewhere."""
     return Path(name).name == name and name not in ("", "..")
 
 
@@ -213,28 +213,27 @@ def write_frame(
     frame: DecodedFrame,
     report: dict[str, Any],
     part: MeshOptions | None = _WHOLE,
-    tell: Callable[[str], None] = lambda what: None,
+    notify: Callable[[str], None] = lambda what: None,
     remark: Callable[[str], None] = lambda line: None,
 ) -> None:
     """Write one frame's ``result.zarr``, ``mesh.ply``, ``range.png``, ``shaded.png`` and ``report.json`` into a folder.
 
-    What is being done is told to `tell`, and to `remark` how large a mesh of 100 MB or more will be. Without `part`
-    there is no mesh.
+    `notify` receives each step, and `remark` the size of a mesh of 100 MB or more. Without `part` there is no mesh.
 
     Raises
     ------
     OSError
         The folder cannot be written.
     """
-    tell("reading every field")
+    notify("reading every field")
     read_back(frame, frame.fields)
 
-    # Storing is compressing and writing, beside which the mesh is made; the picture is made while the mesh is written.
-    # Nothing is imported beside: Python 3.11 fails where two threads parse source at once, as compiling a kernel does.
+    # Storing is compressing and writing, while the mesh is made; the picture is made while the mesh is written. Nothing
+    # is imported meanwhile: Python 3.11 fails where two threads parse source at once, as compiling a kernel does.
     import zarr  # noqa: F401 - so that the thread does not
 
     with ThreadPoolExecutor(1, "beside") as beside:
-        tell("meshing and storing")
+        notify("meshing and storing")
         stored = beside.submit(write_store, folder / STORE, frame)
         shaded = beside.submit(_write_shaded, folder / "shaded.png", frame)
         written = [stored, shaded]
@@ -242,7 +241,7 @@ def write_frame(
             mesh, counts = counted_mesh(frame, part)
             mesh = replace(mesh, provenance=provenance_of(report))  # which names its source
             report = {**report, "mesh": asdict(counts)}
-            tell(f"writing a mesh of {len(mesh.faces):,} triangles, and drawing range.png")
+            notify(f"writing a mesh of {len(mesh.faces):,} triangles, and drawing range.png")
             if (size := ply_bytes(mesh)) >= WORTH_SAYING:
                 remark(f"mesh.ply takes {in_bytes(size)}: --triangles makes it smaller, --no-mesh leaves it out")
             written.append(beside.submit(write_mesh, mesh, folder / "mesh.ply"))

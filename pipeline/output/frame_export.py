@@ -1,8 +1,8 @@
 """The frames of a ``result.zarr`` as files for other programs, in a folder that may hold other things, too.
 
-``exported.json`` there says of each item, a frame's files or the bag of all frames, what it was made of, and the files'
-lengths and SHA-256. What has both is not made again, and what has others is its user's. So an export that is stopped
-goes on where it was; a file that a killed one has not written down is known by being what would be written.
+``exported.json`` there lists for each item, a frame's files or the bag of all frames, its source, and the files'
+lengths and SHA-256. An item that matches both is not made again, and one that does not is its user's. So an export that
+is stopped continues where it was; a file that a killed one has not recorded is recognised by its content.
 """
 
 import hashlib
@@ -35,7 +35,7 @@ _ITEMS = "items"
 _WORK = ".export."
 # The folder, and the MCAP file in it, of a bag.
 _BAG = "bag"
-# Bytes; a record takes some 400 of a frame.
+# Bytes; a record takes about 400 per frame.
 _MOST_RECORD = 2**28
 
 
@@ -62,7 +62,7 @@ def export_frames(
     location: str | Path,
     folder: str | Path,
     kind: str,
-    tell: Callable[[int, int], None] = lambda done, of: None,
+    notify: Callable[[int, int], None] = lambda done, of: None,
     *,
     options: MeshOptions | None = None,
     force: bool = False,
@@ -75,17 +75,17 @@ def export_frames(
     location : str or Path
         The ``result.zarr``.
     folder : str or Path
-        Where to; made if it does not exist.
+        Its destination; made if it does not exist.
     kind : str
         The format, as for `format_of`. All frames go into one bag where it is ``"mcap"``.
-    tell : callable
-        Receives how many of how many frames have been read.
+    notify : callable
+        Called with the number of frames read and of all.
     options : MeshOptions, optional
-        What to leave out of meshes.
+        The parts to omit from meshes.
     force : bool
-        Whether all are written again, and may replace files of others.
+        True to write all again, and to replace files of others.
     remark : callable
-        Receives how large all will be by the first one, if it is 100 MB or more.
+        Called with the expected size of all by the first one, if it is 100 MB or more.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def export_frames(
         The folder cannot be written, is being written by another run, or holds a file of such a name that was changed,
         or that no export has written; then nothing is replaced.
     SettingsError
-        There is no such format; or the options are of no use for it, or ask for mm, and there are none.
+        There is no such format; or the options do not apply to it, or require mm, and there are none.
     """
     form, result, folder = format_of(kind), StoredResult(location), Path(folder)
     if not result.done:
@@ -114,7 +114,7 @@ def export_frames(
             work = Path(tempfile.mkdtemp(prefix=_WORK, dir=folder))
             try:
                 made_by = _Maker(result, kind, options or MeshOptions())
-                return _Export(made_by, folder, work, tell, remark).run(force=force)
+                return _Export(made_by, folder, work, notify, remark).run(force=force)
             finally:
                 shutil.rmtree(work, ignore_errors=True)
     except (FootageError, OutputError):  # OSErrors too, but not about this folder
@@ -199,10 +199,10 @@ class _Export:
         maker: _Maker,
         folder: Path,
         work: Path,
-        tell: Callable[[int, int], None],
+        notify: Callable[[int, int], None],
         remark: Callable[[str], None],
     ) -> None:
-        self._maker, self._folder, self._work, self._tell, self._remark = maker, folder, work, tell, remark
+        self._maker, self._folder, self._work, self._notify, self._remark = maker, folder, work, notify, remark
         self._known = _read_record(folder)
         self._items = maker.items()
         self._of = sum(map(len, self._items.values()))
@@ -222,17 +222,17 @@ class _Export:
         unknown = [name for name in made_of if name not in self._known and (self._folder / name).exists()]
         todo = [name for name in dict.fromkeys([*unknown, *made_of]) if name not in whole]
         self._done.before += [number for name in whole for number in self._items[name]]
-        told = False
+        estimated = False
         try:
-            self._tell(len(self._done.before), self._of)
+            self._notify(len(self._done.before), self._of)
             for name in todo:
                 files = self._make(name, made_of[name], force=force)
-                if files and not told:
-                    told = True
+                if files and not estimated:
+                    estimated = True
                     size = len(todo) * sum((self._folder / file).stat().st_size for file in files)
                     if size >= WORTH_SAYING:
                         self._remark(f"{self._folder} will grow by about {in_bytes(size)}, by its first file")
-                self._tell(len(self._done.before) + len(self._done.written) + len(self._done.damaged), self._of)
+                self._notify(len(self._done.before) + len(self._done.written) + len(self._done.damaged), self._of)
         except KeyboardInterrupt:
             n_there = len(self._done.before) + len(self._done.written)
             raise KeyboardInterrupt(
@@ -278,7 +278,7 @@ class _Export:
         self._done.damaged |= dict.fromkeys(numbers, str(error))
 
     def _is_whole(self, name: str, made_of: str) -> bool:
-        """Whether an item is there as it would be written."""
+        """Return whether an item is there as it would be written."""
         item = self._known.get(name)
         if item is None or item.made_of != made_of:
             return False
@@ -298,7 +298,7 @@ class _Export:
 
 
 def _is_inside(name: str) -> bool:
-    """Whether a name is that of a file in the folder of an export, or in the folder of its bag."""
+    """Return whether a name is that of a file in the folder of an export, or in the folder of its bag."""
     return is_plain_name(name.removeprefix(f"{_BAG}/"))
 
 

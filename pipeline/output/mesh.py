@@ -14,7 +14,7 @@ from tikernels.errors import ShapeError
 
 Unit = Literal["mm", "rad"]
 
-#: What files say of a mesh in rad.
+#: The note in files of a mesh in rad.
 NOT_METRIC = "not metric: z is relative phase, x and y are px"
 #: Names of a vertex's coordinates, of its normal's and of its colour's channels, and of its flags, which no other
 #: property of it may have.
@@ -25,7 +25,7 @@ FLAGS = "flags"
 #: Bits of a vertex's flags; without any it lies where the pixel was measured.
 SMOOTHED, FILLED, RIM = 1, 2, 4
 RESERVED = (*POSITION, *NORMAL, *COLOR, FLAGS)
-#: What a mesh may say of how it was made; see `provenance_of`.
+#: The entries of a mesh's provenance; see `provenance_of`.
 PROVENANCE = ("software", "source", "frame", "time_s", "calibration_sha256", "settings")
 
 
@@ -51,19 +51,20 @@ class Mesh:
     properties : dict of (N,) float32
         More about each vertex, such as ``"sigma_mm"`` or ``"modulation"``.
     unit : {"mm", "rad"}
-        What z is measured in.
+        The unit of z.
     normals : (N, 3) float32, optional
         Unit vectors across the surface, towards the camera.
     flags : (N,) uint8, optional
-        What of each vertex was not measured: bits `SMOOTHED` (1: moved along its pixel's ray to the surface through its
-        neighbours) and `FILLED` (2: nothing was measured there: the surface around a small hole goes on, or, with `RIM`
-        (4), the vertex has moved along the surface, by less than half a pixel, to the line in which that ends).
+        Properties of each vertex that were not measured: bits `SMOOTHED` (1: moved along its pixel's ray to the surface
+        through its neighbours) and `FILLED` (2: nothing was measured there: the surface around a small hole continues,
+        or, with `RIM` (4), the vertex has moved along the surface, by less than half a pixel, to the line in which that
+        ends).
     texture : (H, W, 3) uint8, optional
         sRGB: a picture that the surface wears; `colors` are its colours at the vertices.
     pixels : (N, 2) float32, optional
-        Where each vertex is in the texture: x and y of the camera's pixel, px, 0 at the middle of the first one.
+        Position of each vertex in the texture: x and y of the camera's pixel, px, 0 at the middle of the first one.
     provenance : dict of str
-        How the mesh was made: version, settings, calibration, frame, time; kept by every format that has room for it.
+        The mesh's provenance: version, settings, calibration, frame, time; kept by every format that has room for it.
 
     Raises
     ------
@@ -188,9 +189,9 @@ class RangeGrid:
     camera: Lens | None = None
     """None: a store of a version that did not keep it."""
     time_s: float = 0.0
-    """Since the first frame, or since 1970 where the footage says when it was taken."""
+    """Since the first frame, or since 1970 where the footage states when it was taken."""
     provenance: dict[str, str] = field(default_factory=dict)
-    """How it was made."""
+    """Provenance; see `provenance_of`."""
 
     @classmethod
     def of_records(cls, records: npt.NDArray[np.void]) -> "RangeGrid":
@@ -240,7 +241,7 @@ class RangeGrid:
 
 
 def _is_property(records: npt.NDArray[np.void], name: str) -> bool:
-    """Whether a field is one number, and no place, colour, or what fills the gap between fields."""
+    """Return whether a field is one number, and no position, colour, or padding between fields."""
     return records[name].ndim == 2 and name not in (*"xyz", "rgb", "rgba", *RESERVED) and not name.startswith("_")
 
 
@@ -260,11 +261,11 @@ def provenance_of(attributes: dict[str, Any], number: int | None = None, time_s:
     Parameters
     ----------
     attributes : dict
-        What its store or report says of it.
+        Those of its store or report.
     number : int, optional
         The frame, of footage.
     time_s : float, optional
-        When it was taken, s.
+        Its time, s.
     """
     said = {"software": f"colorphase {attributes['colorphase_version']}"}
     source = attributes.get("source", attributes.get("footage", {}).get("name"))
@@ -276,6 +277,6 @@ def provenance_of(attributes: dict[str, Any], number: int | None = None, time_s:
         said["time_s"] = f"{time_s:.6f}"
     if attributes.get("calibration_sha256") is not None:
         said["calibration_sha256"] = attributes["calibration_sha256"]
-    # Of the settings what differs from nothing; the whole is in the store.
+    # The settings that are not None; all of them are in the store.
     said["settings"] = json.dumps({name: value for name, value in attributes["settings"].items() if value is not None})
     return {name: one_line(str(value)) for name, value in said.items()}

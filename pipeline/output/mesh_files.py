@@ -34,7 +34,7 @@ _GRID_DECODERS = {"pcd": decode_pcd, "png": decode_depth, "tiff": decode_depth, 
 _BAG = "mcap"
 _POINTS = ("xyz", "csv", "npz")
 _FORMS: dict[str, FileFormat] = FORMATS | {"gltf": FORMATS["glb"], "tif": FORMATS["tiff"]}
-# A vertex and its two triangles take some 150 bytes as text, and colours and normals some more.
+# A vertex and its two triangles take about 150 bytes as text, and colours and normals some more.
 _BYTES_A_PIXEL = 250
 
 
@@ -44,7 +44,7 @@ def write_mesh(mesh: Mesh, path: str | Path) -> None:
     Parameters
     ----------
     mesh : Mesh
-        What to write; `pipeline.output.formats.table` says what each format keeps of it, and which way is up there.
+        The mesh; `pipeline.output.formats.table` lists what each format keeps of it, and which way is up there.
     path : str or Path
         A .ply, .obj, .stl, .glb or .wrl file, or of a format that an installed package announces. An OBJ file with a
         texture has an .mtl and a .png next to it.
@@ -85,15 +85,15 @@ def read_mesh(
     Parameters
     ----------
     path : str or Path
-        A mesh: PLY, OBJ, STL, glTF or VRML. A grid: organised PCD, depth as a PNG or TIFF of 16 bits that says its step
-        and its camera, or a bag, as an MCAP file. What has another suffix is read as PLY.
+        A mesh: PLY, OBJ, STL, glTF or VRML. A grid: organised PCD, depth as a PNG or TIFF of 16 bits that states its
+        step and its camera, or a bag, as an MCAP file. What has another suffix is read as PLY.
     frame : int, optional
-        Which frame of a bag, from 0; of a bag of one frame it may be left out, and of other files it has to be.
+        Index of a bag's frame, from 0; may be omitted for a bag of one frame, and must be for other files.
     axes : {"y-up", "z-up", "camera"}, optional
-        Which way the file's axes point: `pipeline.output.formats.table.AXES`. Left out, as the file says, which those
-        of `write_mesh` and `colorphase export` do; else as `write_mesh` writes the format.
+        Directions of the file's axes: `pipeline.output.formats.table.AXES`. If omitted, as stated in the file, as in
+        those of `write_mesh` and `colorphase export`; else as `write_mesh` writes the format.
     unit : {"mm", "cm", "m", "in"}, optional
-        What its numbers are in. Left out, likewise.
+        Unit of its numbers. If omitted, likewise.
 
     Returns
     -------
@@ -151,16 +151,16 @@ def read_placed(
         if in_rad and (axes or unit):
             raise ValueError("it is in rad, not in mm: decode with a calibration")
         form = _FORMS[kind]
-        told = next((each for each in AXES.values() if each.told == said.get("axes")), None)
-        known = form.is_fixed or ((axes or told) and (unit or said.get("unit") in (*MM, "rad")))
+        stated = next((each for each in AXES.values() if each.directions == said.get("axes")), None)
+        known = form.is_fixed or ((axes or stated) and (unit or said.get("unit") in (*MM, "rad")))
         about = {name: value for name, value in said.items() if name in PROVENANCE}
         mesh = replace(mesh, unit="rad" if in_rad else "mm", provenance=about)
         length_mm = MM[unit] if unit else 1.0 if in_rad else MM.get(said.get("unit", ""), MM[form.unit])
-        return in_camera_frame(mesh, AXES[axes] if axes else told or form.axes, length_mm), bool(known)
+        return in_camera_frame(mesh, AXES[axes] if axes else stated or form.axes, length_mm), bool(known)
     except OSError as error:
         more = f": set {MAX_PIXELS} to a larger number if it is whole" if error.errno == errno.EOVERFLOW else ""
         raise FootageError(f"cannot read {path}: {error.strerror}{more}") from error
     except ValueError as error:
         raise FootageError(f"cannot read {path} as a surface ({kind.upper()}): {error}") from error
     except MemoryError as error:
-        raise FootageError(f"cannot read {path}: what it says that it holds does not fit into memory") from error
+        raise FootageError(f"cannot read {path}: its stated content does not fit into memory") from error

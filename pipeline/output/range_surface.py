@@ -1,8 +1,8 @@
 """A range image for meshing: depth, standard deviation and regions, without specks and small holes, its rims smooth.
 
 Specks and teeth. A pixel belongs to a surface where it is a corner of a whole square: four pixels, linked along all
-sides and along a diagonal. What hangs on by less is a tooth, as the last pixel at a rim that lies a step away from its
-neighbour. Squares that share a corner are one surface, and surfaces of few squares are specks.
+sides and along a diagonal. What is attached by less is a tooth, as the last pixel at a rim that lies a step away from
+its neighbour. Squares that share a corner are one surface, and surfaces of few squares are specks.
 
 Holes. A weighted quadric is fitted to the pixels up to four px around a hole, all of one region,
 
@@ -10,9 +10,9 @@ Holes. A weighted quadric is fitted to the pixels up to four px around a hole, a
 
 with W = 1 / sigma^2 and chi^2 the mean squared residual, in variances (13: neighbours' errors are alike,
 docs/method.md, 7). The hole is filled where chi < 2 and no value is less sure than twice the median pixel around it. So
-what is filled is as good as measured if the surface does nothing inside that it does not do around; nobody has seen it.
+what is filled is as good as measured if the surface does nothing inside that it does not do around; it was not seen.
 
-Rims. Where a surface turns away, the next pixel is millimetres deeper, and a rim that goes from pixel to pixel is
+Rims. Where a surface turns away, the next pixel is millimetres deeper, and a rim that runs from pixel to pixel is
 jagged when it is seen from the side. So the last vertices move along their surface, by less than half a pixel, to where
 a blurred image of its pixels has the value of a straight rim.
 """
@@ -44,7 +44,7 @@ _APART_PX = 4
 # Rows from which a pixel's width is estimated: a median of more changes nothing.
 _ASKED_ROWS = 40
 
-# Squares of four pixels: as many as the decoder asks a region to have pixels, of which fewer seldom know their order.
+# Squares of four pixels: as many as a decoder's region has pixels at least; the order of smaller ones is seldom known.
 _LEAST_SQUARES = 128
 
 # A dark spot or a highlight; of what is larger than a square cycle the pattern has shown nothing.
@@ -126,7 +126,7 @@ class RangeSurface:
 
 
 def _scatter(depth: Floats, mask: Pixels) -> float:
-    """Return what the depth's second differences along the rows say of its standard deviation."""
+    """Return the depth's standard deviation by its second differences along the rows."""
     first, middle, last = (slice(_APART_PX * k, depth.shape[1] - _APART_PX * (2 - k)) for k in range(3))
     both = mask[:, first] & mask[:, middle] & mask[:, last]
     bends = (depth[:, first] - 2 * depth[:, middle] + depth[:, last])[both].astype(np.float64)
@@ -316,7 +316,7 @@ def rim_shifts(kept: npt.NDArray[np.bool_]) -> npt.NDArray[np.float32]:
         Down and to the right, px; 0 inside surfaces. The image's own border is no rim.
     """
     pixels = kept.view(np.uint8)
-    # Beyond the image surfaces go on as at its border.
+    # Beyond the image surfaces continue as at its border.
     border = cv2.copyMakeBorder(pixels, 1, 1, 1, 1, cv2.BORDER_REPLICATE)
     rim = kept & (cv2.erode(border, np.ones((3, 3), np.uint8))[1:-1, 1:-1] == 0)
     blurred = cv2.GaussianBlur(pixels.astype(np.float32), (0, 0), _BLUR_PX, borderType=cv2.BORDER_REPLICATE)

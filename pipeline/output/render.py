@@ -34,13 +34,13 @@ def render_mesh(
     Parameters
     ----------
     mesh : Mesh
-        What to draw.
+        The mesh.
     path : str or Path
         The PNG file.
     options : PictureOptions, optional
-        From where, in which colours, and how large.
+        Viewpoint, colours and size.
     buffers : sequence of {"depth", "normals"}
-        What to write next to it, of the same view: ``NAME.depth.tiff``, float32, the depth before the eye along the
+        Images to write next to it, of the same view: ``NAME.depth.tiff``, float32, the depth before the eye along the
         line of sight in mm, NaN where nothing is; ``NAME.normals.png``, the normals to the right, up and towards the
         eye from -1 to 1 as 0 to 255, black where nothing is.
     compared : Mesh, optional
@@ -48,12 +48,12 @@ def render_mesh(
     timeout_s : float
         Time after which drawing is given up, s.
     remark : callable
-        Is given a line where the user should know something of the picture.
+        Called with each line that the user should know about the picture.
 
     Returns
     -------
     str
-        What has drawn it.
+        The renderer.
 
     Raises
     ------
@@ -106,7 +106,7 @@ def refuse_empty(mesh: Mesh, what: str = "the mesh") -> None:
         It has no faces, no extent, or too large a one.
     """
     if not len(mesh.vertices):
-        ours = "nothing of its frame was measured, colorphase inspect says why"
+        ours = "nothing of its frame was measured, colorphase inspect shows why"
         raise RenderError(f"{what} has no point: {ours if mesh.provenance else 'give another file'}")
     if not len(mesh.faces):
         raise RenderError(f"{what} has {len(mesh.vertices)} points and no faces: give one of triangles")

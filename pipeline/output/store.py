@@ -1,8 +1,7 @@
 """``result.zarr``: the fields of every frame, in a form that other programs read (Zarr v3); see `docs/video.md`.
 
-A frame's chunks are written first, its mark last, once they are on the disk: what has a mark is whole, whatever
-happened to the program or the machine. How large the store will be, and whether its disk holds that, is estimated
-before hours have gone into it.
+A frame's chunks are written first, its mark last, once they are on the disk: a frame with a mark is complete, whatever
+happened to the program or the machine. The size of the store, and whether its disk holds it, is estimated at the start.
 """
 
 import json
@@ -38,7 +37,7 @@ from pipeline.output.store_files import (
 )
 from pipeline.zarr_chunks import chunk_key, encode_chunk
 
-# Threads that look whether frames are whole: reading and checksums leave the interpreter alone.
+# Threads that check whether frames are complete: reading and checksums release the interpreter.
 _READERS = 4
 
 # What a chunk may hold in addition to values that do not compress: Blosc's head is 16 bytes, the checksum 4.
@@ -51,7 +50,7 @@ WORTH_SAYING = 100e6
 
 
 def camera_attribute(calibration: Calibration | None) -> dict[str, Any]:
-    """Return what a store says of the camera whose pixels it holds, for programs that need its lens."""
+    """Return a store's description of the camera whose pixels it holds, for programs that need its lens."""
     lens = None if calibration is None else calibration.camera
     return {"camera": None if lens is None else json.loads(lens.model_dump_json())}
 
@@ -90,14 +89,14 @@ class ResultStore:
     location : str or Path
         A folder, or an fsspec URL such as ``s3://bucket/result.zarr``.
     identity : dict
-        What all its frames share, as JSON: a store that says otherwise is refused.
+        Attributes that all its frames share, as JSON: a store with others is refused.
     fields : sequence of str
-        Which of `FIELDS` are stored.
+        Those of `FIELDS` that are stored.
 
     Attributes
     ----------
     says : StoreAttributes
-        What the store says.
+        The store's attributes.
 
     Raises
     ------
@@ -137,11 +136,11 @@ class ResultStore:
         location, identity, fields
             As above.
         n_frames, size_px
-            Of the whole footage: how many frames, their width and height.
+            Number of frames of the whole footage, their width and height.
         also : dict, optional
             Further attributes of a new store, which an old one keeps as they were.
         times : FrameTimes, optional
-            When the frames were taken, where that is known.
+            Times of the frames, where they are known.
 
         Raises
         ------
@@ -157,7 +156,7 @@ class ResultStore:
         if not there:
             with files.explained():
                 content = new_metadata({**whole, **(also or {})}, fields, n_frames, size_px, times)
-                for key, text in content.items():  # the group's comes last: who has it has all of them
+                for key, text in content.items():  # the group's comes last: if it is there, all are
                     folder = key.rpartition("/")[0]
                     if files.folder is not None:
                         make_folder(files.folder / folder)
@@ -171,7 +170,7 @@ class ResultStore:
             return marked_frames(self._files, self._n_frames)
 
     def faults(self, numbers: Iterable[int], made_of: Callable[[int], str]) -> dict[int, str]:
-        """Check whether frames that have a mark are whole, and return what is wrong, by number.
+        """Check whether frames that have a mark are complete, and return the faults, by number.
 
         Behind a URL, where reading all may cost more than decoding it anew, only the marks, with the digest of what
         the frame with a number is made of, and the presence of all files are checked.
@@ -217,7 +216,7 @@ class ResultStore:
         Raises
         ------
         OutputError
-            Somebody has removed some, or the whole store.
+            Some, or the whole store, have been removed.
         """
         lost = numbers - self.done()
         if lost:
@@ -225,7 +224,7 @@ class ResultStore:
             raise OutputError(f"{self._files.name}: {frames} vanished after being stored: run again")
 
     def write(self, number: int, frame: DecodedFrame, made_of: str = "") -> WrittenFrame:
-        """Write a frame's chunks, with a digest of what it is made of; may be called again, and from several threads.
+        """Write a frame's chunks, with a digest of its source; may be called again, and from several threads.
 
         Returns
         -------
@@ -261,7 +260,7 @@ class ResultStore:
             self._files.sync_folder(DONE)
 
     def unmark(self, numbers: Iterable[int]) -> None:
-        """Take the marks and the values of frames away, which are not whole, or other footage's.
+        """Remove the marks and the values of frames that are incomplete, or other footage's.
 
         Raises
         ------
@@ -275,14 +274,14 @@ class ResultStore:
                     self._files.remove(f"{name}/{chunk_key(number, len(FIELDS[name].axes))}")
 
     def remove_leftovers(self) -> None:
-        """Remove the files that a writer who was killed left half-written; while nobody writes."""
+        """Remove the files that a killed writer left half-written; while nobody writes."""
         with self._files.explained():
             coordinates = self._files.folders(COORDINATES)
             self._files.remove_leftovers("", *self._fields, DONE, *coordinates)
 
 
 def is_there(location: str | Path) -> bool:
-    """Whether a store is there.
+    """Return whether a store is there.
 
     Raises
     ------
@@ -295,7 +294,7 @@ def is_there(location: str | Path) -> bool:
 
 
 def holds_footage(location: Path) -> bool:
-    """Whether a store holds more than a picture's result.
+    """Return whether a store holds more than a picture's result.
 
     Raises
     ------
@@ -423,11 +422,11 @@ class SizeForecast:
     location : str
         The store.
     n_frames : int
-        How many frames will be written.
+        Number of frames to write.
     most_bytes : int
-        What one takes at most; see `most_frame_bytes`.
+        Largest size of one; see `most_frame_bytes`.
     frame_bytes : float or None
-        What one takes, by a frame like it; None: there is no such frame.
+        Size of one, by a frame like it; None: there is no such frame.
     """
 
     def __init__(self, location: str, n_frames: int, most_bytes: int, frame_bytes: float | None) -> None:
@@ -441,7 +440,7 @@ class SizeForecast:
         Returns
         -------
         str or None
-            What the user should know: how much it will be, or that it may not fit. None: it is little.
+            A line for the user: the expected size, or that it may not fit. None: it is small.
 
         Raises
         ------
@@ -474,7 +473,7 @@ class SizeForecast:
 
 
 def in_bytes(count: float) -> str:
-    """Return a size as people say it.
+    """Return a size in a readable unit.
 
     >>> in_bytes(2.14e9), in_bytes(87_654_321), in_bytes(5_100), in_bytes(0)
     ('2.1 GB', '88 MB', '5.1 kB', '0 bytes')

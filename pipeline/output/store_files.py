@@ -8,8 +8,9 @@ The attribute `metadata_sha256` is a SHA-256 of the group's ``zarr.json`` withou
 the arrays and the chunks of the coordinates in the order of their keys: whatever changes one of them, a wrong bit or an
 editor, is noticed.
 
-A frame that has a mark is whole. The mark names the checksum of each of the frame's chunks. So a chunk that is missing,
-changed, or another frame's is noticed, and so is a frame that was decoded otherwise than its store says.
+A frame that has a mark is complete. The mark lists the checksum of each of the frame's chunks. So a chunk that is
+missing, changed, or another frame's is noticed, and so is a frame that was decoded with other settings than its
+store's.
 """
 
 import errno
@@ -67,8 +68,8 @@ _BLANK = 0x20
 # Larger ones are not ours: the attributes take a few kB, most of them what is known of the light.
 _MOST_BYTES = 2**20
 
-#: The attributes that footage itself has told, and tells again, and what follows from others; the rest are what its
-#: frames depend on.
+#: The attributes that are estimated from footage, and can be again, or follow from others; its frames depend on the
+#: rest.
 LEARNT = ("light", "code", "rims", "camera")
 
 _KEY = re.compile(r"c\.(\d{1,18})\.0")
@@ -130,7 +131,7 @@ class StoreFiles:
         return content
 
     def put(self, key: str, content: bytes) -> None:
-        """Make or replace a file, whole or not at all; what it holds is on the disk, its name after `sync_folder`.
+        """Make or replace a file, completely or not at all; its content is on the disk, its name after `sync_folder`.
 
         Raises
         ------
@@ -191,9 +192,9 @@ class StoreFiles:
         return [] if self.folder is None else [key for key in keys if (self.folder / key).is_dir()]
 
     def remove_leftovers(self, *keys: str) -> None:
-        """Remove the files in folders that a writer who was killed left half-written; while nobody writes."""
+        """Remove the files in folders that a killed writer left half-written; while nobody writes."""
         if self.folder is None:
-            return  # elsewhere nothing appears before it is whole
+            return  # elsewhere nothing appears before it is complete
         for folder in (self.folder / key for key in keys):
             for name in os.listdir(folder):
                 if name.endswith(LEFTOVERS):
@@ -234,13 +235,13 @@ def new_metadata(
     Parameters
     ----------
     attributes : dict
-        What the store says of its frames, as JSON.
+        The store's attributes, as JSON.
     fields : sequence of str
-        Which of `FIELDS` are stored.
+        Those of `FIELDS` that are stored.
     n_frames, size_px
-        Of the whole footage: how many frames, their width and height.
+        Number of frames of the whole footage, their width and height.
     times : FrameTimes, optional
-        When they were taken, where that is known.
+        Times of the frames, where they are known.
     """
     import zarr  # slow to import, and only needed here
 
@@ -306,7 +307,7 @@ def _coordinates(
 
 
 def _described(name: str, attributes: dict[str, Any], coordinates: Mapping[str, Coordinate]) -> dict[str, Any]:
-    """Return what an array says of itself; CF has every array name the times of its frames and rows."""
+    """Return the attributes of an array; CF has every array name the times of its frames and rows."""
     if name == DONE:
         labels = {"long_name": "record of each frame that is whole, as JSON", "comment": "blank: it is not done"}
     else:
@@ -320,15 +321,15 @@ def _described(name: str, attributes: dict[str, Any], coordinates: Mapping[str, 
 class Metadata:
     """The metadata of a store, which is as it was written."""
 
-    attributes: dict[str, Any]  # all that it says of how its frames were decoded, as JSON
+    attributes: dict[str, Any]  # all attributes of how its frames were decoded, as JSON
     says: StoreAttributes  # what is read again of them
     shapes: dict[str, tuple[int, ...]]  # of the array of each field, and of the marks; the frames come first
     size_px: tuple[int, int]  # width and height of a frame
-    times: FrameTimes | None  # when the frames were taken; None: nothing has told
+    times: FrameTimes | None  # of the frames; None: unknown
 
     @property
     def n_frames(self) -> int:
-        """How many frames the footage has."""
+        """Number of the footage's frames."""
         return self.shapes[DONE][0]
 
 
@@ -439,7 +440,7 @@ def _content(files: StoreFiles, key: str, most_bytes: int = _MOST_BYTES) -> byte
 
 
 def _half_made(files: StoreFiles) -> bool:
-    """Whether nothing is there but what an interrupted making of a store leaves: the group's own file is its last."""
+    """Return whether only remains of an interrupted creation of a store are there: the group's own file is its last."""
     there = files.entries()
     if there is None:
         return False
@@ -450,7 +451,7 @@ def _half_made(files: StoreFiles) -> bool:
 
 
 def _holds_marks(files: StoreFiles) -> bool:
-    """Whether a store without readable metadata is one of ours."""
+    """Return whether a store without readable metadata is one of ours."""
     try:
         return any(name.startswith("c.") for name in files.sizes(DONE))
     except OSError:
@@ -469,7 +470,7 @@ def _digest(about: dict[str, Any], files: Mapping[str, bytes]) -> str:
 
 
 class OtherFrame(DamageError):
-    """A frame was decoded otherwise than its store says."""
+    """A frame was decoded with other settings than its store's."""
 
 
 @dataclass(frozen=True)
@@ -546,7 +547,7 @@ def read_mark(files: StoreFiles, number: int, identity: str) -> FrameMark:
     except ValueError:
         raise DamageError("its mark is of another program, or of a newer version of this one") from None
     if mark.identity != identity:
-        raise OtherFrame("it was decoded otherwise than its store says")
+        raise OtherFrame("it was decoded with other settings than its store's")
     return mark
 
 
@@ -568,7 +569,7 @@ def read_chunk(files: StoreFiles, number: int, name: str, shape: tuple[int, ...]
 
 
 def _read_checked(files: StoreFiles, key: str, most_bytes: int, what: str) -> bytes | None:
-    """Return a file whose checksum is right, or say what is wrong with what it is; None: there is none."""
+    """Return a file whose checksum is right, or raise what is wrong with it; None: there is none."""
     try:
         content = files.read(key, most_bytes)
         without_checksum(content)
@@ -588,9 +589,9 @@ def frame_fault(
     identity: str,
     made_of: str | None = None,
 ) -> str | None:
-    """Return what is wrong with a frame that has a mark; None: all of it is as it was written.
+    """Return the fault of a frame that has a mark; None: all of it is as it was written.
 
-    A digest says what the frame must have been decoded from.
+    A digest states what the frame must have been decoded from.
     """
     try:
         mark = read_mark(files, number, identity)

@@ -1,4 +1,4 @@
-"""The metadata of a ``result.zarr`` as it may be: its checksum tells accidents, and not who has written it."""
+"""The valid metadata of a ``result.zarr``: its checksum detects accidents, not tampering."""
 
 from datetime import datetime
 from typing import Annotated, Any, Literal, TypeVar
@@ -21,7 +21,7 @@ M = TypeVar("M", bound=BaseModel)
 
 
 class _Said(BaseModel):
-    """What a file says; what a later version adds to it is left alone."""
+    """The content of a file; entries that a later version adds are ignored."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", arbitrary_types_allowed=True)
 
@@ -31,7 +31,7 @@ class _Footage(_Said):
 
 
 class StoreAttributes(_Said):
-    """What a store says of how its frames were decoded, as far as it is read again."""
+    """A store's attributes of how its frames were decoded, as far as they are read again."""
 
     colorphase_version: str
     settings: dict[str, Any]
@@ -48,7 +48,7 @@ class StoreAttributes(_Said):
 
     @property
     def state(self) -> RigState:
-        """What frames have told of the rig, after which none is asked."""
+        """The rig's state as estimated from frames, all of it settled."""
         return RigState(self.light, self.code, RimVotes(**self.rims), frozenset())
 
 
@@ -63,7 +63,7 @@ class _ArrayLabels(_Said):
 
     @property
     def since(self) -> str | None:
-        """What times count from; None: the first frame."""
+        """The origin of times; None: the first frame."""
         return (self.units or "").partition(" since ")[2] or None
 
     @model_validator(mode="after")
@@ -81,12 +81,12 @@ class ArraySays(_Said):
 
 
 def parsed(model: type[M], content: bytes, where: str) -> M:
-    """Return what a file of metadata says.
+    """Return the content of a file of metadata.
 
     Raises
     ------
     DamageError
-        It says what none of ours does; `where` names the file.
+        Its content is invalid; `where` names the file.
     """
     try:
         return model.model_validate_json(content)

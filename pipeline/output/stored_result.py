@@ -1,4 +1,4 @@
-"""Frames of a ``result.zarr``, each read when it is looked at."""
+"""Frames of a ``result.zarr``, each read when it is used."""
 
 import json
 import warnings
@@ -31,12 +31,12 @@ if TYPE_CHECKING:
 
 
 def mesh_fields(*, in_mm: bool) -> tuple[str, str]:
-    """Return the fields that a mesh is made of."""
+    """Return the fields that a mesh needs."""
     return "mask", "points" if in_mm else "range_image"
 
 
 class ResultFrame(FrameFields):
-    """A frame of a result: a decoded frame's fields, as far as they are stored, each read when first looked at.
+    """A frame of a result: a decoded frame's fields, as far as they are stored, each read when first used.
 
     A field that was not stored, or whose chunk is damaged, raises a `FootageError`; without a calibration `points` and
     `point_sigma` are None.
@@ -85,7 +85,7 @@ class ResultFrame(FrameFields):
 
     @property
     def calibrated(self) -> bool:
-        """Whether `range_image` is a depth in mm."""
+        """True if `range_image` is a depth in mm."""
         return self._result.in_mm
 
     @property
@@ -95,7 +95,7 @@ class ResultFrame(FrameFields):
 
     @property
     def attributes(self) -> dict[str, Any]:
-        """What the store says of how it was decoded."""
+        """The store's attributes of how it was decoded."""
         return self._result.attributes
 
     @property
@@ -109,7 +109,7 @@ class ResultFrame(FrameFields):
 
 
 class StoredResult:
-    """A result that `colorphase decode` has stored: a sequence of its frames that are whole, in their order.
+    """A result that `colorphase decode` has stored: a sequence of its complete frames, in their order.
 
     ``result[0]`` is the first of them, ``result[-1]`` the last, ``result.frame(17)`` the footage's frame 17.
 
@@ -121,11 +121,11 @@ class StoredResult:
     Attributes
     ----------
     attributes : dict
-        What the store says of how its frames were decoded.
+        The store's attributes of how its frames were decoded.
     fields : frozenset of str
-        What is stored of each frame.
+        Names of the fields that are stored of each frame.
     done : tuple of int
-        The numbers of the frames that are whole.
+        The numbers of the complete frames.
 
     Raises
     ------
@@ -195,7 +195,7 @@ class StoredResult:
         return f"<StoredResult {self.name}: {len(self)} frames of {width}x{height} px, {fields}>"
 
     def frame(self, number: int) -> ResultFrame:
-        """Return a frame by its number in the footage; one that is not `done` fails when a field is looked at.
+        """Return a frame by its number in the footage; one that is not `done` fails when a field is used.
 
         Raises
         ------
@@ -213,12 +213,12 @@ class StoredResult:
 
     @property
     def in_mm(self) -> bool:
-        """Whether ranges are in mm, and a mesh therefore needs points."""
+        """True if ranges are in mm, and a mesh therefore needs points."""
         return self._metadata.says.range_unit == "mm"
 
     @property
     def front_known(self) -> bool:
-        """Whether it is clear which side of the ranges faces the camera: by a calibration, the settings or rims."""
+        """True if a calibration, the settings or rims determine which side of the ranges faces the camera."""
         says = self._metadata.says
         return self.in_mm or says.settings.get("projector_side") is not None or says.state.rims.clear
 
@@ -238,7 +238,7 @@ class StoredResult:
             raise self._damaged(number, error) from None
 
     def require(self, name: str) -> None:
-        """Refuse to go on without a field.
+        """Refuse to continue without a field.
 
         Raises
         ------
@@ -249,7 +249,7 @@ class StoredResult:
             raise FootageError(f"{self.name} holds no {name}: decode with that field")
 
     def require_mm(self) -> None:
-        """Refuse to go on without places in mm.
+        """Refuse to continue without positions in mm.
 
         Raises
         ------

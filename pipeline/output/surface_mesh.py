@@ -1,10 +1,10 @@
-"""A decoded frame as a triangle mesh, top to bottom: what is wanted, steps, specks, holes, smoothing, triangles.
+"""A decoded frame as a triangle mesh, top to bottom: the wanted part, steps, specks, holes, smoothing, triangles.
 
-Where fewer triangles are asked for, VTK's progressive decimation takes vertices away, those nearest to the plane of
-their neighbours or to the line of a rim first, and closes what is left with triangles [1]; whole pieces go where
-nothing else is left to take. It moves none and makes none, so every vertex of the result lies where it lay, with its
-normal, its standard deviation and its flags. (Quadric decimation fits surfaces somewhat better, but puts new vertices
-where nothing was measured.)
+Where fewer triangles are requested, VTK's progressive decimation removes vertices, those nearest to the plane of their
+neighbours or to the line of a rim first, and closes what is left with triangles [1]; whole pieces go where nothing else
+is left to take. It moves none and makes none, so every vertex of the result lies where it lay, with its normal, its
+standard deviation and its flags. (Quadric decimation fits surfaces somewhat better, but puts new vertices where nothing
+was measured.)
 
 References
 ----------
@@ -66,11 +66,11 @@ class MeshOptions:
     """
 
     smoothed: bool = True
-    """Whether vertices move along their pixels' rays to the surface through their neighbours."""
+    """True to move vertices along their pixels' rays to the surface through their neighbours."""
     crop_mm: tuple[float, float, float, float, float, float] | None = None
     """Two opposite corners of a box, x0, y0, z0, x1, y1, z1, mm in the camera's frame; what is outside is left out."""
     without_background: bool = False
-    """Whether the largest plane is left out."""
+    """True to omit the largest plane."""
     max_triangles: int | None = None
     """The most triangles that the mesh may have."""
 
@@ -105,9 +105,9 @@ def frame_mesh(frame: FrameFields, options: MeshOptions | None = None, fields: C
     frame : FrameFields
         Any frame, decoded or stored; it stays as it is.
     options : MeshOptions, optional
-        What to leave out, and whether to smooth.
+        The parts to omit, and whether to smooth.
     fields : collection of str, optional
-        What the mesh is to carry, as far as the frame has it; None: all.
+        Properties of the mesh, as far as the frame has them; None: all.
 
     Returns
     -------
@@ -121,7 +121,7 @@ def frame_mesh(frame: FrameFields, options: MeshOptions | None = None, fields: C
     SettingsError
         A box or the background is to be left out without a calibration, or the box is none.
     FootageError
-        What the mesh is made of is not stored, or damaged.
+        The fields that the mesh needs are not stored, or damaged.
 
     Examples
     --------
@@ -210,7 +210,7 @@ def surface_mesh(
     region : (H, W) int32, optional
         Connected surfaces; without it all pixels may be one.
     options : MeshOptions, optional
-        What to leave out, and whether to smooth.
+        The parts to omit, and whether to smooth.
     texture : (H, W, 3) uint8, optional
         sRGB.
 
@@ -219,7 +219,7 @@ def surface_mesh(
     Mesh
         See `frame_mesh`.
     MeshCounts
-        What became of the pixels.
+        Counts of the pixels by their fate.
 
     Raises
     ------
@@ -269,7 +269,7 @@ class _Joined(NamedTuple):
 
 
 def _joined(surface: RangeSurface) -> _Joined:
-    """Link a range image's pixels, fill its holes, fit a surface to it, and cut what that says is a step."""
+    """Link a range image's pixels, fill its holes, fit a surface to it, and cut it at the steps of that fit."""
     measured = surface.region != 0
     with runtime.lock:
         links = _links(surface)
@@ -368,7 +368,7 @@ def _relief(places: npt.NDArray[np.intp], depth: Floats, slope: Floats, shift: F
 
 
 def _source_pixels(mask: Pixels, holes: FilledHoles, places: npt.NDArray[np.intp]) -> npt.NDArray[np.int32]:
-    """Return which masked pixel tells of each vertex; where a hole was filled, the one beside it."""
+    """Return the masked pixel that each vertex comes from; where a hole was filled, the one next to it."""
     source = np.arange(mask.size, dtype=np.int32)
     source[holes.filled] = holes.beside
     return np.asarray(np.cumsum(mask.ravel(), dtype=np.int32)[source[places]] - 1)
@@ -405,7 +405,7 @@ def decimate_mesh(mesh: Mesh, max_triangles: int) -> Mesh:
     mesh : Mesh
         Left as it is.
     max_triangles : int
-        How many the result may have; a mesh that has no more is returned itself.
+        Most triangles of the result; a mesh that has no more is returned itself.
 
     Raises
     ------

@@ -229,7 +229,7 @@ def footage(arch: str) -> None:
         for workers in (None, 1):
             shutil.rmtree(store, ignore_errors=True)
             clocks: list[float] = []
-            decode_job(job, workers=workers, tell=lambda done, of: clocks.append(time.perf_counter()))  # noqa: B023
+            decode_job(job, workers=workers, notify=lambda done, of: clocks.append(time.perf_counter()))  # noqa: B023
             first, last = len(clocks) // 5, 4 * len(clocks) // 5
             rate = (last - first) / (clocks[last] - clocks[first])
             where = "a process for each core" if workers is None else "one process"

@@ -36,13 +36,13 @@ def main() -> None:
         vertices = make_store(location, n_pictures)
         times, sizes = [], {}
 
-        def tell(done: int, of: int) -> None:
+        def notify(done: int, of: int) -> None:
             times.append((time.perf_counter(), done))
             if done in (of // 4, of - 1):
                 sizes[done] = drawing_sizes_mb()
 
         before = cpu_s()
-        made = render_film(location, Path(name, "film.mp4"), options, tell=tell)
+        made = render_film(location, Path(name, "film.mp4"), options, notify=notify)
         size_mb = Path(name, "film.mp4").stat().st_size / 1e6
     # The first of each process is drawn after its kernels are compiled.
     (start_s, first), (end_s, last) = times[3], times[-1]

@@ -91,7 +91,7 @@ def together(job: Job) -> float:
     """Return frames a second of a run, between its first and its last fifth: starting takes as long for any length."""
     shutil.rmtree(job.store, ignore_errors=True)
     clocks: list[float] = []
-    decode_job(job, tell=lambda done, of: clocks.append(time.perf_counter()))
+    decode_job(job, notify=lambda done, of: clocks.append(time.perf_counter()))
     first, last = len(clocks) // 5, 4 * len(clocks) // 5
     return (last - first) / (clocks[last] - clocks[first])
 
@@ -104,7 +104,7 @@ def long_run(job: Job, n_frames: int) -> None:
         times[done] = time.perf_counter()
         sizes[done] = int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
-    decode_job(job, tell=note)
+    decode_job(job, notify=note)
     first, last = (100 / (times[k + 100] - times[k]) for k in (0, n_frames - 100))
     print(f"\n{n_frames} frames: the first hundred at {first:.1f}, the last at {last:.1f} frames/s")
     print(f"memory after frame 100: {sizes[100]:.0f} MB, at the end {sizes[n_frames]:.0f} (goal: 20 more at most)")

@@ -25,7 +25,7 @@ class Heading:
 
 
 def remarks_in(comments: Iterable[str]) -> dict[str, str]:
-    """Return what a file's comments, without their marks, say of it; the inverse of `Heading.comments`."""
+    """Return the remarks in a file's comments, which come without their marks; the inverse of `Heading.comments`."""
     parts = (comment.strip().partition(" ") for comment in comments)
     return {name: value.strip() for name, _, value in parts}
 

@@ -1,6 +1,6 @@
 """The camera's grid of points to PCD, and its depth to 16-bit PNG or TIFF; and back.
 
-Depth in mm is the level times `depth_step_mm`, which the picture says of itself: a PNG in a text chunk, a TIFF in its
+Depth in mm is the level times `depth_step_mm`, which the picture states: a PNG in a text chunk, a TIFF in its
 ImageDescription, as JSON. Level 0 is no depth. `camera`, as JSON, is the lens by which a pixel's depth becomes a point.
 A PCD file is organised, NaN where nothing was measured.
 
@@ -88,7 +88,7 @@ def encode_depth_tiff(grid: RangeGrid, heading: Heading) -> dict[str, Content]:
 
 
 def decode_depth(data: bytes) -> RangeGrid:
-    """Return the points of a depth picture that says what a level is worth, and by which lens it was seen.
+    """Return the points of a depth picture that states its depth per level and its lens.
 
     Raises
     ------
@@ -97,7 +97,7 @@ def decode_depth(data: bytes) -> RangeGrid:
     """
     levels, remarks = _levels_and_remarks(data)
     if not {STEP, CAMERA} <= remarks.keys():
-        raise ValueError(f"it says no {STEP} or no {CAMERA}: give one that colorphase export has written")
+        raise ValueError(f"it has no {STEP} or no {CAMERA}: give one that colorphase export has written")
     try:
         step, lens = float(remarks[STEP]), Lens.model_validate_json(remarks[CAMERA])
     except ValueError:
@@ -109,7 +109,7 @@ def decode_depth(data: bytes) -> RangeGrid:
 
 
 def _levels_and_remarks(data: bytes) -> tuple[npt.NDArray[np.uint16], dict[str, str]]:
-    """Return the levels of a picture of 16 bits, and what it says of itself."""
+    """Return the levels of a picture of 16 bits, and its remarks."""
     from PIL import Image, TiffImagePlugin, UnidentifiedImageError  # only needed here
 
     try:
@@ -238,7 +238,7 @@ def _decompressed(body: bytes, record: np.dtype, count: int) -> bytes:
 
 
 def _from_text(record: np.dtype, numbers: npt.NDArray[np.float64]) -> tuple[np.dtype, bytes]:
-    """Return points that were told in words as their bytes, and their layout: a colour's bits are a whole number."""
+    """Return points that were given as text as their bytes, and their layout: a colour's bits are a whole number."""
     names = record.names or ()
     widths = [int(np.prod(record[name].shape)) for name in names]
     table = numbers[: numbers.size // sum(widths) * sum(widths)].reshape(-1, sum(widths))

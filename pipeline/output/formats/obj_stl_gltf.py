@@ -44,7 +44,7 @@ def encode_obj(mesh: Mesh, heading: Heading) -> dict[str, Content]:
 
     Without a texture colours follow each place, as MeshLab and others read them.
     """
-    told = heading.comments("#")
+    comments = heading.comments("#")
     vertices = text_rows("v %.7g %.7g %.7g\n", mesh.vertices)
     if mesh.colors is not None and mesh.texture is None:
         table = np.hstack([mesh.vertices, mesh.colors / np.float32(255)])
@@ -56,11 +56,11 @@ def encode_obj(mesh: Mesh, heading: Heading) -> dict[str, Content]:
     faces = text_rows(f"f {corner} {corner} {corner}\n", repeated)
     normals = "" if mesh.normals is None else text_rows("vn %.4f %.4f %.4f\n", mesh.normals)
     if mesh.texture is None:
-        return {".obj": f"{told}{vertices}{normals}{faces}".encode()}
+        return {".obj": f"{comments}{vertices}{normals}{faces}".encode()}
     # In an OBJ file a texture's v goes up from the bottom of the picture.
     places = text_rows("vt %.6f %.6f\n", mesh.texture_places() * (1, -1) + (0, 1))
-    head = f"{told}mtllib {heading.stem}.mtl\nusemtl surface\n"
-    material = f"{told}newmtl surface\nKa 0 0 0\nKd 1 1 1\nKs 0 0 0\nillum 1\nmap_Kd {heading.stem}.png\n"
+    head = f"{comments}mtllib {heading.stem}.mtl\nusemtl surface\n"
+    material = f"{comments}newmtl surface\nKa 0 0 0\nKd 1 1 1\nKs 0 0 0\nillum 1\nmap_Kd {heading.stem}.png\n"
     return {
         # A file's name may have bytes that are not UTF-8.
         ".obj": f"{head}{vertices}{places}{normals}{faces}".encode(errors="surrogateescape"),
@@ -76,7 +76,7 @@ def encode_stl(mesh: Mesh, heading: Heading) -> dict[str, Content]:
     triangles = np.zeros(len(mesh.faces), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
     triangles["normal"] = normals / np.where(lengths > 0, lengths, 1)
     triangles["corners"] = mesh.vertices[mesh.faces]
-    # A head that begins with "solid" is taken for text.
+    # A head that begins with "solid" is mistaken for text.
     head = "; ".join(["binary STL", *(f"{name} {value}" for name, value in heading.remarks.items())])
     return {".stl": struct.pack("<80sI", head.encode()[:80], len(triangles)) + triangles.tobytes()}
 
@@ -236,7 +236,7 @@ def _with_materials(data: bytes) -> bytes:
 def _numbered_from_first(data: bytes) -> bytes:
     """Return an OBJ file whose corners are counted from the file's first vertex; -1 is the last one before the line.
 
-    The reader takes it for the last one of the file.
+    The reader mistakes it for the last one of the file.
     """
     if not _FROM_LAST.search(data):
         return data
@@ -258,7 +258,7 @@ def _corner(word: bytes, seen: list[int]) -> bytes:
 
 
 def _remarks(data: bytes, kind: str) -> dict[str, str]:
-    """Return what a file of ours says of itself; nothing of another's."""
+    """Return the remarks of a file of ours; none of another's."""
     if kind == "obj":
         return remarks_in(line[1:] for line in data[:_HEAD].decode("utf-8", "replace").splitlines() if line[:1] == "#")
     if kind == "stl":
@@ -272,7 +272,7 @@ def _colors(solid: Any) -> npt.NDArray[np.uint8] | None:
     """Return the sRGB colours of a mesh at its vertices, where it has some, from its texture if need be."""
     visual = solid.visual
     if visual.kind == "texture" and visual.uv is None:
-        # Beside a glTF material without a picture; the format's colours are linear light.
+        # Next to a glTF material without a picture; the format's colours are linear light.
         linear = visual.vertex_attributes.get("color")
         if linear is None or len(linear) != len(solid.vertices):
             return None

@@ -28,7 +28,7 @@ _TYPES = dict(
         strict=True,
     )
 )
-# A line for each property, and comments: others' have some 1,000 bytes.
+# A line for each property, and comments: others' have about 1,000 bytes.
 _LONGEST_HEAD = 2**16
 # Vertices or faces at a time, which stay in the processor's cache until they are written.
 _BLOCK = 2**14
@@ -91,7 +91,7 @@ def _write_records(file: BinaryIO, block: npt.NDArray[Any], fields: Sequence[tup
 def decode_ply(data: bytes) -> tuple[Mesh, dict[str, str]]:
     """Return the mesh that a PLY file holds, binary or ASCII, with the coordinates that it has there; and its remarks.
 
-    Polygons and strips become triangles; of elements other than vertices, faces and strips nothing is read.
+    Polygons and strips become triangles; elements other than vertices, faces and strips are not read.
 
     Raises
     ------
@@ -147,7 +147,7 @@ class _Column:
 
 @dataclass(frozen=True)
 class _Element:
-    """What a header says of rows: how many there are, and the type of each property, and of a list's count."""
+    """Rows of a header's element: their number, and the type of each property, and of a list's count."""
 
     name: str
     count: int
@@ -275,7 +275,7 @@ def _parse_header(lines: list[list[str]]) -> tuple[bool, list[_Element]]:
             case [] | ["ply"] | ["comment" | "obj_info", *_]:
                 pass
             case _:
-                raise ValueError(f"its header says {' '.join(line)[:80]!r}")
+                raise ValueError(f"its header has {' '.join(line)[:80]!r}")
     names = [element.name for element in elements]
     if not types or "vertex" not in names or len({*names}) < len(names):
         raise ValueError("its header does not announce vertices, once, and how they are stored")

@@ -39,7 +39,7 @@ def write_bag(folder: Path, grids: Iterable[RangeGrid], remarks: dict[str, str])
     grids : iterable of RangeGrid
         The frames in the order of time; one at a time is in memory.
     remarks : dict
-        How they were made: the bag's custom data.
+        Their provenance: the bag's custom data.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def read_bag(path: Path, number: int | None = None) -> RangeGrid:
     path : Path
         The MCAP file.
     number : int, optional
-        Which frame, from 0; of a bag of one frame it may be left out.
+        Index of the frame, from 0; may be omitted for a bag of one frame.
 
     Raises
     ------
@@ -101,7 +101,7 @@ def read_bag(path: Path, number: int | None = None) -> RangeGrid:
             if not 0 <= (number or 0) < count:
                 raise ValueError(f"it has no frame {number}: its {count} are numbered from 0")
             _, _, data = next(islice(reader.messages(topics), number or 0, None))
-        # The bag's own definitions of messages are not asked: they would become a program.
+        # The bag's own definitions of messages are not used: they would become a program.
         cloud: Any = get_typestore(Stores.ROS2_HUMBLE).deserialize_cdr(data, _CLOUD)
         return RangeGrid.of_records(_records_of(cloud))
     except (ValueError, OSError, MemoryError):

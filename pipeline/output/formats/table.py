@@ -46,10 +46,10 @@ GROUP = "colorphase.formats"
 class Axes:
     """A rotation of the camera frame by right angles."""
 
-    told: str
+    directions: str
     """The directions of x, y and z."""
     sources: tuple[int, int, int]
-    """Of the file's x, y and z: which of the camera frame's each is."""
+    """Index of the camera frame's axis that each of the file's x, y and z is."""
     signs: tuple[int, int, int]
     """And whether it points the same way (1) or back (-1)."""
 
@@ -108,16 +108,16 @@ class FileFormat:
     encode_mesh: Callable[[Mesh, Heading], dict[str, Content]] | None = None
     encode_grid: Callable[[RangeGrid, Heading], dict[str, Content]] | None = None
     is_fixed: bool = True
-    """Whether axes and unit are those of the format's standard or custom, or whatever its writer takes."""
+    """True if axes and unit are those of the format's standard or custom, false if its writer chooses them."""
 
     @property
     def holds_all_frames(self) -> bool:
-        """Whether one file holds all frames."""
+        """True if one file holds all frames."""
         return self.encode_mesh is None and self.encode_grid is None
 
     @property
     def has_step(self) -> bool:
-        """Whether depths are whole numbers of steps, which one film has in common."""
+        """True if depths are whole numbers of steps, which all frames of a film share."""
         return self.encode_grid in (encode_depth_png, encode_depth_tiff)
 
 
@@ -210,7 +210,7 @@ def encode_as(form: FileFormat, shape: Mesh | RangeGrid, stem: str, farthest_mm:
         The format cannot hold it.
     """
     metric = isinstance(shape, RangeGrid) or shape.unit == "mm"
-    remarks = {"unit": form.unit if metric else "rad", "axes": form.axes.told}
+    remarks = {"unit": form.unit if metric else "rad", "axes": form.axes.directions}
     if not metric:
         remarks["note"] = NOT_METRIC
     remarks |= shape.provenance

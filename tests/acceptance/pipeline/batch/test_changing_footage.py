@@ -177,11 +177,11 @@ def test_changes_between_runs(footage):
         try:
             stop = footage.rng.randrange(2 * N_FRAMES)
 
-            def tell(done, of, stop=stop):
+            def notify(done, of, stop=stop):
                 if done == stop:
                     raise KeyboardInterrupt
 
-            decode_job(footage.job("result.zarr"), tell=tell)
+            decode_job(footage.job("result.zarr"), notify=notify)
         except (Stopped, KeyboardInterrupt):
             pass
         footage.change()
@@ -208,7 +208,7 @@ def test_changes_while_it_runs_that_are_undone_afterwards(footage):
         shutil.rmtree(footage.place / "result.zarr", ignore_errors=True)
         try:
             summary = decode_job(
-                footage.job("result.zarr"), workers=1, step=change, tell=lambda done, of, change=change: change(done)
+                footage.job("result.zarr"), workers=1, step=change, notify=lambda done, of, change=change: change(done)
             )
             n_bad += sum("has changed since this run began: run again" in bad.reason for bad in summary.bad)
         except (Stopped, KeyboardInterrupt):

@@ -152,7 +152,7 @@ def test_an_error_of_ours_comes_back_as_it_was(folder, tmp_path):
             shutil.rmtree(job.store, ignore_errors=True)
 
     with pytest.raises(OutputError, match=r"vanished|is not there"):
-        decode_job(job, workers=2, tell=remove)
+        decode_job(job, workers=2, notify=remove)
     assert not (Path(job.store) / "zarr.json").exists()
 
 
@@ -164,5 +164,5 @@ def test_each_process_has_its_share_of_the_cores(folder, tmp_path):
     def look(done, of):
         seen.update(tuple(sorted(os.sched_getaffinity(child))) for child in children())
 
-    decode_job(job_of(folder, tmp_path / "result.zarr"), workers=2, tell=look)
+    decode_job(job_of(folder, tmp_path / "result.zarr"), workers=2, notify=look)
     assert seen == {tuple(share) for share in executors.shares(executors.usable_cores(), 2)}

@@ -53,7 +53,7 @@ def test_memory_stays_flat(tmp_path):
 
     fields = chosen_fields(None, in_mm=False)
     decode_job(
-        Job(str(film), StoredAs(), DecodeSettings(), None, None, 1, 0, fields, str(tmp_path / "r"), "cpu"), tell=note
+        Job(str(film), StoredAs(), DecodeSettings(), None, None, 1, 0, fields, str(tmp_path / "r"), "cpu"), notify=note
     )
     assert sizes[150] - sizes[50] < 20
 

@@ -37,7 +37,7 @@ def test_results(tmp_path, monkeypatch, disk):
     (tmp_path / "out").mkdir()
     cuts, told = PowerCuts(tmp_path / "out", monkeypatch), []
     job = job_of(tmp_path, tmp_path / "out" / "result.zarr")
-    decode_job(job, tell=lambda done, of: told.append((len(cuts.events), done)))
+    decode_job(job, notify=lambda done, of: told.append((len(cuts.events), done)))
     monkeypatch.undo()
     kept = []
     for moment in np.unique(np.linspace(0, len(cuts.events), MOMENTS).astype(int)):

@@ -35,7 +35,7 @@ def test_a_film_shows_each_frame_in_its_turn(tmp_path):
     path = store(tmp_path / "r.zarr", distances, missing=(2, 6))
     told = []
     options = PictureOptions(view="front", colors="depth", fps=12.5, size_px=SIZE)
-    made = render_film(path, tmp_path / "film.mp4", options, tell=lambda done, of: told.append((done, of)))
+    made = render_film(path, tmp_path / "film.mp4", options, notify=lambda done, of: told.append((done, of)))
     assert (made.n_images, made.before, made.held, made.broken) == (8, 0, (2, 6), {})
     assert told == [(i, 8) for i in range(9)]
     assert sorted(p.name for p in tmp_path.iterdir()) == ["film.mp4", "r.zarr"]
@@ -79,7 +79,7 @@ def test_a_film_that_was_stopped_goes_on(tmp_path, monkeypatch):
     )
     # Of other options nothing is kept; of the same ones what is whole is not drawn again.
     told = []
-    made = render_film(path, tmp_path / "film.mp4", SMALL, tell=lambda done, of: told.append(done))
+    made = render_film(path, tmp_path / "film.mp4", SMALL, notify=lambda done, of: told.append(done))
     assert [part.first for part in calls[1]] == [6, 12] and whole.name not in [Path(p.path).name for p in calls[1]]
     assert (made.before, told[0], made.n_images) == (6, 6, 14)
     assert len(read_film(tmp_path / "film.mp4")[0]) == 14

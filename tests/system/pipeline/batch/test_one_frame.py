@@ -35,7 +35,7 @@ from pipeline.footage.footage import StoredAs
 from pipeline.output.surface_mesh import MeshOptions
 from pipeline.settings import DecodeSettings
 how = (DecodeSettings(), None, StoredAs(), "cpu", MeshOptions())
-decode_picture(Path("fringes.png"), "out", *how, force=False, tell=lambda what: None)
+decode_picture(Path("fringes.png"), "out", *how, force=False, notify=lambda what: None)
 print(threads)
 """
 
@@ -43,7 +43,7 @@ print(threads)
 def decode(picture, out, *, force=False):
     said = []
     frame, _ = decode_picture(
-        picture, out, DecodeSettings(), None, AS_IT_SAYS, "cpu", MeshOptions(), force=force, tell=said.append
+        picture, out, DecodeSettings(), None, AS_IT_SAYS, "cpu", MeshOptions(), force=force, notify=said.append
     )
     return frame, said
 

@@ -91,7 +91,7 @@ def marked(store):
 def test_a_run_stores_what_the_decoder_gives(job, folder):
     """Chains start afresh at every fourth frame, and each frame leans on the one before in its chain."""
     told = []
-    summary = decode_job(job, tell=lambda *progress: told.append(progress))
+    summary = decode_job(job, notify=lambda *progress: told.append(progress))
     assert (summary.n_frames, summary.n_before, summary.bad) == (N_FRAMES, 0, [])
     assert told == [(n, N_FRAMES) for n in range(N_FRAMES + 1)]
     group = zarr.open_group(job.store, mode="r")
@@ -165,7 +165,7 @@ def test_steps(job, tmp_path):
 
 
 def test_no_frames_are_asked_for(job):
-    with pytest.raises(SettingsError, match="has 14 frames, none of which is asked for"):
+    with pytest.raises(SettingsError, match="has 14 frames, none of which is selected"):
         decode_job(job, start=20)
     assert not Path(job.store).exists()
 
@@ -220,8 +220,8 @@ def test_what_is_said_of_a_run_before_and_while_frames_are_decoded(job, monkeypa
     decode_job(job, stop=3, workers=1, step=steps.append, remark=remarks.append)
     assert list(dict.fromkeys(step.partition(" to about ")[0] for step in steps)) == [
         "reading the footage",
-        "looking at what is there",
-        "compiling kernels, and asking the footage for its light",
+        "checking what is there",
+        "compiling kernels, and estimating the footage's light",
         "compiling kernels",
         "decoding",
     ]
@@ -231,7 +231,7 @@ def test_what_is_said_of_a_run_before_and_while_frames_are_decoded(job, monkeypa
     assert expected_kb == pytest.approx(found_kb, rel=0.2)  # three frames are as large as three times the first
     steps.clear()
     decode_job(job, workers=1, step=steps.append, remark=remarks.append)
-    assert steps[1:3] == ["looking at what is there", "compiling kernels"] and "will grow by about" in remarks[1]
+    assert steps[1:3] == ["checking what is there", "compiling kernels"] and "will grow by about" in remarks[1]
 
 
 def test_what_does_not_fit_on_the_disk_is_refused_before_it_is_decoded(job, undisturbed, monkeypatch):
@@ -250,7 +250,7 @@ def test_two_runs_do_not_write_to_one_store(job, undisturbed):
             with pytest.raises(OutputError, match=r"is being written by another run \(process \d+ on .*: wait until"):
                 decode_job(job)
 
-    decode_job(job, tell=second)
+    decode_job(job, notify=second)
     assert contents(Path(job.store)) == undisturbed
     assert [entry.name for entry in Path(job.store).parent.iterdir()] == ["result.zarr"]
 
@@ -475,7 +475,7 @@ def test_ctrl_c_keeps_what_is_done(job, undisturbed, monkeypatch):
 
     monkeypatch.setattr("pipeline.batch.worker._COMMIT_S", 0.0)
     with pytest.raises(Stopped, match=r"stopped: \d+ of 14 frames are done; the same command goes on"):
-        decode_job(job, tell=stop)
+        decode_job(job, notify=stop)
     assert 2 <= len(marked(job.store)) < N_FRAMES
     assert not list(Path(job.store).rglob("*.part*"))
     decode_job(job)
@@ -508,7 +508,7 @@ def test_a_vanished_store(job):
             shutil.rmtree(job.store, ignore_errors=True)
 
     with pytest.raises(OutputError, match="has vanished"):
-        decode_job(job, tell=remove)
+        decode_job(job, notify=remove)
 
 
 def test_frames_that_vanish_after_they_were_stored(job):
@@ -519,7 +519,7 @@ def test_frames_that_vanish_after_they_were_stored(job):
             (Path(job.store) / "done" / "c.3.0").unlink()
 
     with pytest.raises(OutputError, match="a frame has vanished after being stored: run again"):
-        decode_job(job, tell=remove)
+        decode_job(job, notify=remove)
     assert decode_job(job).n_before == N_FRAMES - 1
 
 

@@ -271,7 +271,7 @@ def test_decode_footage(folder, command):
         (("--roi", "0,0,400,100"), "sticks out of the 320x240 frame"),
         (("--fields", "depth"), "no field is called 'depth'"),
         (("--step", "0"), "must be 1 or more"),
-        (("--start", "9"), "none of which is asked for"),
+        (("--start", "9"), "none of which is selected"),
     ]:
         refused = command("decode", film, *options, *arguments, cwd=folder)
         assert refused.returncode in (1, 2) and message in refused.stderr, refused.stderr

@@ -113,7 +113,7 @@ def test_a_calibrated_frame_asks_no_rims(cpu):
 
 
 def test_a_side_along_the_stripes_tells_no_depth():
-    with pytest.raises(SettingsError, match="tell depth only with a projector above or below"):
+    with pytest.raises(SettingsError, match="determine depth only with a projector above or below"):
         DecodeSettings(projector_side="left")
-    with pytest.raises(SettingsError, match="tell depth only with a projector left or right"):
+    with pytest.raises(SettingsError, match="determine depth only with a projector left or right"):
         DecodeSettings(stripes="vertical", projector_side="above")

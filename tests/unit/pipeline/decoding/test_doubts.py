@@ -85,7 +85,7 @@ def test_noise_is_no_fine_fringe(cpu):
             0.01,
             0.03,
             True,
-            ["colours of 40% of the surface, yellow above all, where phases may be off by some 0.06 rad"],
+            ["colours of 40% of the surface, yellow above all, where phases may be off by about 0.06 rad"],
         ),
     ],
 )
@@ -131,4 +131,4 @@ def test_what_it_costs_is_said_in_mm(cpu):
         for mismatch, odd in ((0.3, None), (0.0, NoModelFits(0.03, 1.0, "red")))
     ]
     assert "phases may be off by as much, 0.30 rad (2.1 mm): colorphase inspect" in said[0]
-    assert "may be off by some 0.06 rad (0.42 mm). The frame does not tell why: it is not the cross" in said[1]
+    assert "may be off by about 0.06 rad (0.42 mm). The frame does not show why: it is not the cross" in said[1]

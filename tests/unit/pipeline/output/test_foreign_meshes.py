@@ -212,7 +212,7 @@ def test_memory_that_is_used_up_is_not_taken_for_damage(tmp_path: Path, monkeypa
 
     (tmp_path / "mesh.obj").write_text(V)
     monkeypatch.setattr("trimesh.load_scene", take_all)
-    with pytest.raises(FootageError, match="holds does not fit into memory"):
+    with pytest.raises(FootageError, match="stated content does not fit into memory"):
         read_mesh(tmp_path / "mesh.obj")
 
 

@@ -281,7 +281,7 @@ def test_a_mark_says_how_its_frame_was_decoded(path):
     mark = read_mark(files, 1, identity_digest(attributes))
     assert (mark.period_px, mark.noise_levels, mark.constant_known, mark.warnings) == (12.0, 1.0, True, [])
     assert mark.chunks.keys() == set(attributes["fields"])
-    with pytest.raises(OtherFrame, match="decoded otherwise than its store says"):
+    with pytest.raises(OtherFrame, match="decoded with other settings than its store's"):
         read_mark(files, 1, identity_digest({**attributes, "step": 2}))
 
 

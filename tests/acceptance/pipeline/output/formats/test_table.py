@@ -183,4 +183,4 @@ def test_ranges_in_rad_are_never_called_metres(mesh):
 def test_the_docs_hold_the_table():
     page = Path(__file__).resolve().parents[5] / "docs" / "formats.md"
     rows = re.findall(r"^\| `(\w+)` \| (.*?) \| (.*?) \| (.*?) \| (.*?) \|$", page.read_text(), re.MULTILINE)
-    assert rows == [(kind, form.meaning, form.holds, form.unit, form.axes.told) for kind, form in FORMATS.items()]
+    assert rows == [(kind, form.meaning, form.holds, form.unit, form.axes.directions) for kind, form in FORMATS.items()]

@@ -78,9 +78,9 @@ def lens_of(width, height):
         (lambda: png_of(np.zeros((4, 4, 3), np.uint8)), "it is no picture of depth: that has one channel of 16 bits"),
         (
             lambda: png_of(np.zeros((4, 4), np.uint16)),
-            "it says no depth_step_mm or no camera: give one that colorphase",
+            "it has no depth_step_mm or no camera: give one that colorphase",
         ),
-        (lambda: remarks(camera=""), "it says no depth_step_mm or no camera: give one that colorphase"),
+        (lambda: remarks(camera=""), "it has no depth_step_mm or no camera: give one that colorphase"),
         (lambda: remarks(camera="{}"), "its depth_step_mm or its camera cannot be read"),
         (lambda: remarks(camera=lens_of(7, 5)), "its camera is of another size than the picture"),
     ],

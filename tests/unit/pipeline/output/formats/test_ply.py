@@ -91,7 +91,7 @@ def ascii_ply(vertex: str = "0 0 0 1 2 3", face: str = "3 0 0 0", n_vertices: in
         (ascii_ply(vertex="0 0 0 1 2 300"), "colours are not whole numbers from 0 to 255"),
         (ascii_ply(vertex="1e300 0 0 1 2 3"), "some are not finite"),
         (ascii_ply(n_vertices=10**17), "set COLORPHASE_MAX_PIXELS to a larger number"),
-        (ascii_ply(n_vertices=10**4000), "its header says 'element vertex 1000"),
+        (ascii_ply(n_vertices=10**4000), "its header has 'element vertex 1000"),
         (b"ply\nformat ascii 1.0\n" + b"comment\n" * 10_000 + ascii_ply()[21:], "its header has no end"),
     ],
 )

@@ -21,7 +21,7 @@ def test_directions_are_where_the_text_says(axes, right, down, away):
     np.testing.assert_array_equal(axes.from_camera(np.eye(3)), [right, down, away])
     assert np.linalg.det(axes.from_camera(np.eye(3))) == 1  # turned, never mirrored
     np.testing.assert_array_equal(axes.to_camera(axes.from_camera(np.eye(3))), np.eye(3))
-    words = axes.told.split(", ")
+    words = axes.directions.split(", ")
     for letter, word in zip("xyz", words, strict=True):
         direction = {"right": right, "down": down, "up": np.negative(down), "away": away, "towards": np.negative(away)}
         assert word.startswith(letter)
