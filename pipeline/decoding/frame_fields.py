@@ -34,6 +34,8 @@ class FrameFields(ABC):
         When it was taken, s since 1970 where `dated`, else since the footage's first frame; None: nothing tells.
     dated : bool
         Whether the day is known.
+    period_px : float or None
+        The fringe's, camera px per cycle; None: no fringe was found.
     warnings : tuple of str
         What the user should know about this frame.
 
@@ -52,6 +54,7 @@ class FrameFields(ABC):
     number: int | None
     time_s: float | None
     dated: bool
+    period_px: float | None
     warnings: tuple[str, ...]
 
     if TYPE_CHECKING:  # the table in `decoding.frame` has their units and meanings
