@@ -36,19 +36,7 @@ def page(about: Mapping[str, Any] | None = None, frames: Sequence[ViewedFrame] =
     step : int
         Every how many pixels of them.
     """
-    styles, scripts = _text("viewer.css"), [_text(name) for name in _SCRIPTS]
-    # Nothing else runs and nothing goes out, whatever texts a frame brings.
-    policy = "; ".join(
-        [
-            "default-src 'none'",
-            f"style-src {_hash(styles)} 'unsafe-hashes'",
-            f"script-src {' '.join(_hash(script) for script in scripts)}",
-            "img-src data: blob:",
-            "connect-src 'self'" if about is None else "connect-src 'none'",
-            "base-uri 'none'",
-            "form-action 'none'",
-        ]
-    )
+    styles, scripts = page_text("viewer.css"), [page_text(name) for name in _SCRIPTS]
     data = ""
     if about is not None:
         packed = [base64.b64encode(frame.pack(step)).decode("ascii") for frame in frames]
@@ -57,10 +45,34 @@ def page(about: Mapping[str, Any] | None = None, frames: Sequence[ViewedFrame] =
         )
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
-        f'<meta http-equiv="Content-Security-Policy" content="{escape(policy)}">'
-        f"<title>colorphase</title><style>{styles}</style></head><body>{_text('viewer.html')}{data}"
+        f'<meta http-equiv="Content-Security-Policy" content="{escape(policy(asks=about is None))}">'
+        f"<title>colorphase</title><style>{styles}</style></head><body>{page_text('viewer.html')}{data}"
         + "".join(f"<script>{script}</script>" for script in scripts)
         + "</body></html>"
+    )
+
+
+def policy(*styles: str, asks: bool = False) -> str:
+    """Return the rule by which nothing but the viewer runs and nothing goes out, whatever texts a frame brings.
+
+    Parameters
+    ----------
+    styles : str
+        Style sheets next to the viewer's own.
+    asks : bool
+        Whether the page asks its server for what it shows.
+    """
+    allowed = " ".join(_hash(style) for style in (page_text("viewer.css"), *styles))
+    return "; ".join(
+        [
+            "default-src 'none'",
+            f"style-src {allowed} 'unsafe-hashes'",
+            f"script-src {' '.join(_hash(page_text(script)) for script in _SCRIPTS)}",
+            "img-src data: blob:",
+            "connect-src 'self'" if asks else "connect-src 'none'",
+            "base-uri 'none'",
+            "form-action 'none'",
+        ]
     )
 
 
@@ -70,7 +82,8 @@ def _safe(values: Mapping[str, Any]) -> str:
 
 
 @cache
-def _text(name: str) -> str:
+def page_text(name: str) -> str:
+    """Return a file that pages are made of."""
     return files("pipeline.view").joinpath("page", name).read_text(encoding="utf-8")
 
 
