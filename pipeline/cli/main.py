@@ -28,6 +28,7 @@ _COMMANDS = {
     "decode": ("decode", "Decode a picture, or footage: a folder of pictures, a video or a recording."),
     "inspect": ("inspect", "Show what footage will cost in accuracy, and what to change."),
     "view": ("view", "Show a result, footage, a picture or a mesh in the browser."),
+    "report": ("report", "Write a result or a calibration as a document: one HTML file that also prints."),
     "render": ("drawing", "Draw a surface: a still picture, a turntable, or a film of all frames."),
     "export": ("export", "Write every frame of a result in a format that other programs open."),
     "verify": ("verify", "Check a result or a recording for damaged frames."),

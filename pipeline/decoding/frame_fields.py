@@ -35,6 +35,8 @@ class FrameFields(ABC):
         When it was taken, s since 1970 where `dated`, else since the footage's first frame; None: unknown.
     dated : bool
         True if the date is known.
+    period_px : float or None
+        Of the fringe, camera px per cycle; None: no fringe was found.
     warnings : tuple of str
         Warnings about this frame.
 
@@ -53,6 +55,7 @@ class FrameFields(ABC):
     number: int | None
     time_s: float | None
     dated: bool
+    period_px: float | None
     warnings: tuple[str, ...]
 
     if TYPE_CHECKING:  # the table in `decoding.frame` has their units and meanings

@@ -24,7 +24,7 @@ u_position is what the errors of the n positions scatter by beyond it, times sqr
 (`lateral_resolution.py`).
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -33,9 +33,10 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.calibration.captures import captured_files
+from pipeline.calibration.lens import Lens
 from pipeline.calibration.model import Calibration, Geometry, choose_pattern
 from pipeline.causes import Cause
-from pipeline.decoding.frame import DecodedFrame
+from pipeline.decoding.frame_fields import FrameFields
 from pipeline.diagnosis.artefacts import BallBar, Plate, Position, Relief, Volume
 from pipeline.diagnosis.lateral_resolution import LateralResolution, measure_transfer
 from pipeline.diagnosis.picture_reader import PictureReader
@@ -206,19 +207,19 @@ def certify(
             elif position in reliefs:
                 laterals.append(measure_relief(frame, position, geometry, settings.smoothing_px))
             else:
-                flats.append(_measure_plate(frame, settings.smoothing_px))
+                flats.append(measure_plate(frame, settings.smoothing_px))
                 _check_place(position, plates, [flats[-1].turned_rad(asked) for asked in plates])
         except CalibrationError as error:
             raise CalibrationError(f"{position.name}: {error}") from None
     _check_depths(flats)
-    errors = [_spacing_mm(pair) - bar.spacing_mm for pair in pairs]
+    errors = [measured_spacing_mm(pair) - bar.spacing_mm for pair in pairs]
     spheres = [ball for pair in pairs for ball in pair]
-    spacing, flatness = _spread("sphere spacing error", errors), _form("flatness measurement error", flats)
+    spacing, flatness = spread("sphere spacing error", errors), form("flatness measurement error", flats)
     budget = _budget(pairs, errors, reference_mm, calibration, bar)
     return Certificate(
         spacing=spacing,
-        size=_spread("probing error, size", [2 * ball.radius_mm - bar.diameter_mm for ball in spheres]),
-        form=_form("probing error, form", spheres),
+        size=spread("probing error, size", [2 * ball.radius_mm - bar.diameter_mm for ball in spheres]),
+        form=form("probing error, form", spheres),
         flatness=flatness,
         noise_mm=flatness.precision_mm,
         noise_predicted_mm=_rms(np.array([flat.sigma_mm for flat in flats])),
@@ -233,35 +234,37 @@ def certify(
 def bar_in(
     position: Position,
     bars: Sequence[Position],
-    frame: DecodedFrame,
+    frame: FrameFields,
     bar: BallBar,
     geometry: Geometry,
     window_px: int,
 ) -> list[Sphere]:
-    """Return the balls of a bar; see `measure_bar`.
+    """Return the balls of a bar; see `measure_balls`.
 
     Raises
     ------
     CalibrationError
         It is another bar, is nearer to another one of its positions, or too little of it is seen.
     """
-    pair = measure_bar(frame, bar, geometry, window_px)
-    _check_bar(pair, bar, geometry)
+    pair = measure_balls(frame, bar.diameter_mm, 2, geometry.camera, window_px)
+    check_balls(pair, bar.diameter_mm, bar.spacing_mm, geometry.rad_per_mm)
     centres = np.stack([ball.centre_mm for ball in pair])
     _check_place(position, bars, [_apart_mm(centres, bar.centres_mm(asked)) for asked in bars])
     return pair
 
 
-def measure_bar(frame: DecodedFrame, bar: BallBar, geometry: Geometry, window_px: int) -> list[Sphere]:
-    """Return the two balls of a bar.
+def measure_balls(frame: FrameFields, diameter_mm: float, count: int, camera: Lens, window_px: int) -> list[Sphere]:
+    """Return balls of one diameter, the one with most points first.
 
     Parameters
     ----------
-    frame : DecodedFrame
-        Decoded with a calibration.
-    bar : BallBar
-        The reference.
-    geometry : Geometry
+    frame : FrameFields
+        Decoded with a calibration, or stored.
+    diameter_mm : float
+        The reference's.
+    count : int
+        How many there are.
+    camera : Lens
         The calibration's.
     window_px : int
         The side of the window that phases were smoothed over.
@@ -273,11 +276,11 @@ def measure_bar(frame: DecodedFrame, bar: BallBar, geometry: Geometry, window_px
     """
     points = _points(frame)
     fits = []
-    for found_at in find_balls(points, bar.diameter_mm / 2, geometry, 2):
+    for found_at in find_balls(points, diameter_mm / 2, camera, count):
         ball = _inside(found_at, window_px)
         tile = _tiles(ball, frame)
         enough = np.unique(tile).size >= _LEAST_TILES
-        found, centred = (fit_sphere(points[ball], size) if enough else None for size in (None, bar.diameter_mm / 2))
+        found, centred = (fit_sphere(points[ball], size) if enough else None for size in (None, diameter_mm / 2))
         if found is None or centred is None:
             raise CalibrationError(f"only {tile.size} points of a ball count: hold it nearer, or take larger balls")
         (centre, radius), (middle, known_radius) = found, centred
@@ -293,13 +296,13 @@ def measure_bar(frame: DecodedFrame, bar: BallBar, geometry: Geometry, window_px
     return fits
 
 
-def measure_relief(frame: DecodedFrame, asked: Position, geometry: Geometry, window_px: int) -> LateralResolution:
+def measure_relief(frame: FrameFields, asked: Position, geometry: Geometry, window_px: int) -> LateralResolution:
     """Return the transfer of height of the surface that fills most of a position's outline.
 
     Parameters
     ----------
-    frame : DecodedFrame
-        Decoded with a calibration.
+    frame : FrameFields
+        Decoded with a calibration, or stored.
     asked : Position
         Where the corrugated plate is to be held.
     geometry : Geometry
@@ -319,12 +322,12 @@ def measure_relief(frame: DecodedFrame, asked: Position, geometry: Geometry, win
     tile = _tiles(surface, frame)
     if np.unique(tile).size < _RELIEF_TILES:
         raise CalibrationError(f"only {tile.size} points of the corrugated plate count: hold it where it is asked for")
-    mm_per_px = _mm_per_px(geometry, float(np.median(points[surface][:, 2])))
+    mm_per_px = _mm_per_px(geometry.camera, float(np.median(points[surface][:, 2])))
     profile = cv2.Rodrigues(asked.turn)[0][:, 0]
     return measure_transfer(points[surface], tile, profile, mm_per_px * lateral_limit_px(window_px))
 
 
-def find_balls(points: FloatArray, radius_mm: float, geometry: Geometry, count: int) -> Iterator[npt.NDArray[np.bool_]]:
+def find_balls(points: FloatArray, radius_mm: float, camera: Lens, count: int) -> Iterator[npt.NDArray[np.bool_]]:
     """Yield the pixels of balls, the one with most points first; see the module.
 
     Parameters
@@ -333,7 +336,7 @@ def find_balls(points: FloatArray, radius_mm: float, geometry: Geometry, count: 
         In the camera's frame, mm; NaN where nothing is measured.
     radius_mm : float
         The balls'.
-    geometry : Geometry
+    camera : Lens
         The rig's.
     count : int
         How many there are.
@@ -355,7 +358,7 @@ def find_balls(points: FloatArray, radius_mm: float, geometry: Geometry, count: 
         centre = _densest(votes[free], _VOTE * radius_mm)
         away = np.linalg.norm(votes - centre, axis=2)
         ball = free & (away < _VOTE * radius_mm)
-        seen = ball.sum() * _mm_per_px(geometry, centre[2]) ** 2 / (np.pi * radius_mm**2)
+        seen = ball.sum() * _mm_per_px(camera, centre[2]) ** 2 / (np.pi * radius_mm**2)
         if seen < _SEEN:
             found = "no ball is" if number == 0 else f"only {number} of {count} balls is"
             raise CalibrationError(
@@ -377,7 +380,7 @@ def _densest(votes: FloatArray, radius_mm: float) -> FloatArray:
     return np.asarray(place)
 
 
-def _measure_plate(frame: DecodedFrame, window_px: int) -> Flat:
+def measure_plate(frame: FrameFields, window_px: int) -> Flat:
     """Return the plane through the largest surface.
 
     Raises
@@ -403,12 +406,12 @@ def _measure_plate(frame: DecodedFrame, window_px: int) -> Flat:
     return flat
 
 
-def _mm_per_px(geometry: Geometry, depth_mm: float) -> float:
-    return float(depth_mm / np.sqrt(geometry.camera.matrix[0, 0] * geometry.camera.matrix[1, 1]))
+def _mm_per_px(camera: Lens, depth_mm: float) -> float:
+    return float(depth_mm / np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]))
 
 
-def _points(frame: DecodedFrame) -> FloatArray:
-    if frame.points is None or not frame.mask.any():
+def _points(frame: FrameFields) -> FloatArray:
+    if frame.points is None or not np.isfinite(frame.points).any():
         raise CalibrationError("no fringe is found: take the picture under the calibrated pattern")
     return frame.points.astype(np.float64)
 
@@ -419,7 +422,7 @@ def _inside(surface: npt.NDArray[np.bool_], window_px: int) -> npt.NDArray[np.bo
     return np.asarray(cv2.erode(surface.view(np.uint8), np.ones((side, side), np.uint8), borderValue=0)).view(np.bool_)
 
 
-def _tiles(surface: npt.NDArray[np.bool_], frame: DecodedFrame) -> npt.NDArray[np.intp]:
+def _tiles(surface: npt.NDArray[np.bool_], frame: FrameFields) -> npt.NDArray[np.intp]:
     """Return the number of the tile, one cycle of the fringe wide, of each of a surface's pixels, (N,)."""
     side = round(frame.period_px or _LEAST_TILES)
     rows, columns = np.nonzero(surface)
@@ -455,23 +458,46 @@ def _check_depths(flats: Sequence[Flat]) -> None:
         )
 
 
-def _spacing_mm(pair: Sequence[Sphere]) -> float:
+def measured_spacing_mm(pair: Sequence[Sphere]) -> float:
+    """Return the distance of the centres of two balls."""
     return float(np.linalg.norm(pair[1].centre_mm - pair[0].centre_mm))
 
 
-def _check_bar(balls: Sequence[Sphere], bar: BallBar, geometry: Geometry) -> None:
-    """Refuse a bar that is another one."""
+def check_balls(
+    balls: Sequence[Sphere],
+    diameter_mm: float,
+    spacing_mm: float | None,
+    rad_per_mm: Callable[[float], float],
+) -> None:
+    """Refuse balls that are others than those that were given.
+
+    Parameters
+    ----------
+    balls : sequence of Sphere
+        As measured.
+    diameter_mm : float
+        The reference's.
+    spacing_mm : float or None
+        The distance of their centres; None: it is not compared.
+    rad_per_mm : callable
+        Returns how much the phase changes per mm at a depth, mm.
+
+    Raises
+    ------
+    CalibrationError
+        They are.
+    """
     for ball in balls:
         depth_mm = float(ball.centre_mm[2])
-        cycle = 2 * np.pi / geometry.rad_per_mm(depth_mm) / depth_mm  # all lengths change by this part with a cycle
-        if abs(2 * ball.radius_mm / bar.diameter_mm - 1) > cycle / 2:
+        cycle = 2 * np.pi / rad_per_mm(depth_mm) / depth_mm  # all lengths change by this part with a cycle
+        if abs(2 * ball.radius_mm / diameter_mm - 1) > cycle / 2:
             raise CalibrationError(
-                f"a ball's diameter is {2 * ball.radius_mm:.1f} mm, not {bar.diameter_mm:g}: give the true one; or its "
+                f"a ball's diameter is {2 * ball.radius_mm:.1f} mm, not {diameter_mm:g}: give the true one; or its "
                 "depth is a cycle off: use a coded pattern"
             )
-    if abs(_spacing_mm(balls) / bar.spacing_mm - 1) > _OTHER:
+    if spacing_mm is not None and abs(measured_spacing_mm(balls) / spacing_mm - 1) > _OTHER:
         raise CalibrationError(
-            f"the balls are {_spacing_mm(balls):.1f} mm apart, not {bar.spacing_mm:g}: give the true spacing; "
+            f"the balls are {measured_spacing_mm(balls):.1f} mm apart, not {spacing_mm:g}: give the true spacing; "
             "or the calibration's scale is wrong"
         )
 
@@ -501,11 +527,14 @@ def _budget(
     }
 
 
-def _spread(name: str, errors: Sequence[float]) -> Figure:
-    return Figure(name, max(errors, key=abs), float(np.mean(errors)), float(np.std(errors, ddof=1)))
+def spread(name: str, errors: Sequence[float]) -> Figure:
+    """Return the figure of errors, one for each position or ball; one alone has no precision, which is NaN."""
+    precision = float(np.std(errors, ddof=1)) if len(errors) > 1 else np.nan
+    return Figure(name, max(errors, key=abs), float(np.mean(errors)), precision)
 
 
-def _form(name: str, fits: Sequence[Fit]) -> Figure:
+def form(name: str, fits: Sequence[Fit]) -> Figure:
+    """Return the figure of distances from a shape, one fit for each position or ball."""
     means, rest = (np.concatenate([getattr(fit, part) for fit in fits]) for part in ("means_mm", "rest_mm"))
     return Figure(name, max(fit.range_mm for fit in fits), _rms(means), _rms(rest))
 

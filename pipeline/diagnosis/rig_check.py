@@ -75,7 +75,7 @@ class Measure:
     @property
     def fine(self) -> bool:
         """True where it is within twice the prediction."""
-        return self.measured <= _TOLERANCE * self.predicted
+        return abs(self.measured) <= _TOLERANCE * self.predicted
 
 
 @dataclass(frozen=True)
@@ -152,15 +152,17 @@ def check_surface(
         raise CalibrationError(Cause("other shape", f"{off}: show a {shape} alone"))
     bias = _predicted_bias(calibration)
     noise = float(np.sqrt(np.mean(best.sigma**2)))
-    name = "flatness" if shape == "plane" else "sphericity"
+    # The words are those of a certificate (`certificate.py`), which has the errors' ranges, too.
+    name = "flatness measurement error" if shape == "plane" else "probing error, form"
     measures = [
-        Measure("point precision", float(np.sqrt(np.mean(best.fine**2))), noise, "mm"),
-        Measure(name, coarse, float(np.hypot(_SHAPE_FLOOR_MM, 0.5 * bias)), "mm"),
+        Measure("noise of a point", float(np.sqrt(np.mean(best.fine**2))), noise, "mm"),
+        Measure(f"{name}, trueness", coarse, float(np.hypot(_SHAPE_FLOOR_MM, 0.5 * bias)), "mm"),
     ]
     if best.radius is not None and radius_mm is not None:
         # Depth that is off by a part is so for every length.
         expected = np.hypot(_SHAPE_FLOOR_MM, bias * radius_mm / best.position[2])
-        measures.append(Measure("radius", abs(best.radius - radius_mm), float(expected), "mm"))
+        size_mm = 2 * (best.radius - radius_mm)  # of the diameter
+        measures.append(Measure("probing error, size", size_mm, 2 * float(expected), "mm"))
     x, y, z = (float(value) for value in best.position)
     blind_spot = BLIND_SPOTS[shape] if radius_mm is None or shape == "plane" else ""
     return CheckResult(tuple(measures), (x, y, z), best.radius, blind_spot)

@@ -35,6 +35,15 @@ _VERTICES_A_PIXEL = 2
 _MOST_VERTICES = 2 * _WIDTH_PX**2
 
 
+# Standard deviations of a calibration: their names, keys and units.
+_SIGMAS = (
+    ("place of the projector, x y z", "translation_mm", "mm"),
+    ("turn of the projector, x y z", "rotation_deg", "deg"),
+    ("camera's focal lengths and principal point", "camera", "px"),
+    ("projector's focal lengths and principal point", "projector", "px"),
+)
+
+
 @to_html.register
 def _frame_html(frame: DecodedFrame) -> str:
     mask, unit = frame.mask, frame.range_unit
@@ -101,6 +110,16 @@ def _mesh_html(mesh: Mesh) -> str:
 
 @to_html.register
 def _calibration_html(calibration: Calibration) -> str:
+    return html_block("Calibration", calibration_figures(calibration), calibration_warnings(calibration))
+
+
+def calibration_warnings(calibration: Calibration) -> list[str]:
+    """Return what the user should know of a calibration."""
+    return [] if calibration.has_geometry else ["no geometry: frames are decoded to phases, in rad"]
+
+
+def calibration_figures(calibration: Calibration) -> dict[str, str]:
+    """Return the figures of a calibration, by name, in words."""
     figures = {}
     for name, lens in (("camera", calibration.camera), ("projector", calibration.projector)):
         if lens is not None:
@@ -127,8 +146,10 @@ def _calibration_html(calibration: Calibration) -> str:
         figures["reprojection, RMS"] = f"camera {camera:.3f} px, projector {projector:.3f} px"
     if known is not None and known.depth_bias_mm is not None:
         figures["depth, sigma by the calibration"] = f"{known.depth_bias_mm:.3g} mm"
-    warnings = [] if calibration.has_geometry else ["no geometry: frames are decoded to phases, in rad"]
-    return html_block("Calibration", figures, warnings)
+    for name, key, unit in _SIGMAS:
+        if (values := getattr(known, key, None)) is not None:
+            figures[f"{name}, sigma"] = f"{', '.join(f'{value:.3f}' for value in values[:4])} {unit}"
+    return figures
 
 
 @to_pyvista.register

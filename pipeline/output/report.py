@@ -75,18 +75,32 @@ def depth_in_words(frame: FrameFields, *, front_known: bool) -> str | None:
         return None
     single = region is not None and len(np.unique(region[unknown])) == 1
     which = "the surface" if single else "each surface"
-    phase_sigma, point_sigma = read("phase_sigma"), read("point_sigma")
-    cycle = ""
-    if phase_sigma is not None and point_sigma is not None:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            mm_per_rad = float(np.nanmedian((point_sigma / phase_sigma)[unknown]))
-        cycle = f", some {2 * np.pi * mm_per_rad:.2g} mm each"
+    per_rad = mm_per_rad(frame, unknown)
+    cycle = "" if per_rad is None else f", some {2 * np.pi * per_rad:.2g} mm each"
     share = unknown.sum() / mask.sum()
     part = "less than 1%" if share < 0.005 else f"{share:.0%}"
     return (
         f"depth is relative on {part} of the pixels: {which} there may be off by whole "
         f"cycles{cycle}; a pattern with the code or a --depth-range tells"
     )
+
+
+def mm_per_rad(frame: FrameFields, where: npt.NDArray[np.bool_]) -> float | None:
+    """Return how far a point moves along its ray with a rad of phase, the median; None: the frame does not tell.
+
+    Parameters
+    ----------
+    frame : FrameFields
+        Decoded, or stored with as many of its fields as there are.
+    where : (H, W) bool
+        Of which pixels.
+    """
+    if not frame.calibrated or not {"phase_sigma", "point_sigma"} <= frame.fields.keys():
+        return None
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios = (np.asarray(frame.point_sigma) / frame.phase_sigma)[where]
+    known = ratios[np.isfinite(ratios)]
+    return float(np.median(known)) if known.size else None
 
 
 def measure_against_truth(frame: DecodedFrame, truth: SimulatedFrame) -> dict[str, float | int]:

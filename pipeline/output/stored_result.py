@@ -66,6 +66,8 @@ class ResultFrame(FrameFields):
     def __getattr__(self, name: str) -> Any:
         if name == "warnings":
             found: Any = tuple(self._mark.warnings)
+        elif name == "period_px":
+            found = self._mark.period_px
         elif name not in FIELDS:
             raise AttributeError(f"a frame of a result has no {name}")
         elif self.calibrated or not FIELDS[name].in_mm:

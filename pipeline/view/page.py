@@ -40,19 +40,7 @@ def page(about: Mapping[str, Any] | None = None, frames: Sequence[ViewedFrame] =
     step : int
         Step between the pixels that are kept.
     """
-    styles, scripts = _text("viewer.css"), [_text(name) for name in _SCRIPTS]
-    # No other script runs and no request leaves the page, whatever texts a frame contains.
-    policy = "; ".join(
-        [
-            "default-src 'none'",
-            f"style-src {_hash(styles)} 'unsafe-hashes'",
-            f"script-src {' '.join(_hash(script) for script in scripts)}",
-            "img-src data: blob:",
-            "connect-src 'self'" if about is None else "connect-src 'none'",
-            "base-uri 'none'",
-            "form-action 'none'",
-        ]
-    )
+    styles, scripts = page_text("viewer.css"), [page_text(name) for name in _SCRIPTS]
     data = ""
     if about is not None:
         packed = [base64.b64encode(gzip.compress(frame.pack(step), _LEVEL)).decode("ascii") for frame in frames]
@@ -61,10 +49,34 @@ def page(about: Mapping[str, Any] | None = None, frames: Sequence[ViewedFrame] =
         )
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
-        f'<meta http-equiv="Content-Security-Policy" content="{escape(policy)}">'
-        f"<title>colorphase</title><style>{styles}</style></head><body>{_text('viewer.html')}{data}"
+        f'<meta http-equiv="Content-Security-Policy" content="{escape(policy(asks=about is None))}">'
+        f"<title>colorphase</title><style>{styles}</style></head><body>{page_text('viewer.html')}{data}"
         + "".join(f"<script>{script}</script>" for script in scripts)
         + "</body></html>"
+    )
+
+
+def policy(*styles: str, asks: bool = False) -> str:
+    """Return the Content-Security-Policy: no other script runs and no request leaves, whatever texts a frame contains.
+
+    Parameters
+    ----------
+    styles : str
+        Further style sheets.
+    asks : bool
+        True if the page requests its frames from its server.
+    """
+    allowed = " ".join(_hash(style) for style in (page_text("viewer.css"), *styles))
+    return "; ".join(
+        [
+            "default-src 'none'",
+            f"style-src {allowed} 'unsafe-hashes'",
+            f"script-src {' '.join(_hash(page_text(script)) for script in _SCRIPTS)}",
+            "img-src data: blob:",
+            "connect-src 'self'" if asks else "connect-src 'none'",
+            "base-uri 'none'",
+            "form-action 'none'",
+        ]
     )
 
 
@@ -74,7 +86,8 @@ def _safe(values: Mapping[str, Any]) -> str:
 
 
 @cache
-def _text(name: str) -> str:
+def page_text(name: str) -> str:
+    """Return a file that pages are made of."""
     return files("pipeline.view").joinpath("page", name).read_text(encoding="utf-8")
 
 

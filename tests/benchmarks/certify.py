@@ -41,7 +41,7 @@ from pipeline.diagnosis.artefacts import BallBar, Plate, Relief, Volume, positio
 from pipeline.diagnosis.certificate import (
     Certificate,
     certify,
-    measure_bar,
+    measure_balls,
     measure_relief,
     open_pictures,
     under_cells,
@@ -136,7 +136,8 @@ def certified(folder: Path, seed: int) -> Row:
     decoder, shown, elsewhere = Decoder(settings, known, arch="cpu"), np.rint(255 * codes) / np.float32(255), []
     for turn, place in places_in(volume, bar, rng):
         image = BarView(truth, true, turn, place, light, samples=3).photograph(shown, rng)
-        first, second = measure_bar(decoder.decode(image), bar, known.geometry(), settings.smoothing_px)
+        frame, camera = decoder.decode(image), known.geometry().camera
+        first, second = measure_balls(frame, bar.diameter_mm, 2, camera, settings.smoothing_px)
         elsewhere.append(np.linalg.norm(second.centre_mm - first.centre_mm) - true.spacing_mm)
     others = []
     for blur_px in BLURS_PX:

@@ -45,6 +45,7 @@ LATE = (
     "pypylon",
     "matplotlib",
     "xarray",
+    "jinja2",
 )
 
 

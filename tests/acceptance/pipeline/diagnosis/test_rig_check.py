@@ -45,7 +45,7 @@ def turned(degrees):
 def test_a_rig_that_stands_as_it_did(rig, radius_off_mm):
     plane = checked("plane", "plane", rig=rig)
     assert plane.fine
-    assert [measure.name for measure in plane.measures] == ["point precision", "flatness"]
+    assert [measure.name for measure in plane.measures] == ["noise of a point", "flatness measurement error, trueness"]
     precision = plane.measures[0]
     assert 0.5 < precision.measured / precision.predicted < 1.5
     ball = checked("ball", "ball", 85.0, rig=rig)

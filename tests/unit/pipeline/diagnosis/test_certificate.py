@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.diagnosis.artefacts import BallBar, Plate, Volume, positions_in
-from pipeline.diagnosis.certificate import find_balls, measure_bar
+from pipeline.diagnosis.certificate import find_balls, measure_balls, spread
 from pipeline.errors import CalibrationError
 from pipeline.simulation import simulated_rig
 
@@ -30,12 +30,12 @@ def seen(centres=CENTRES, radius=30.0, wall_mm=1000.0, seed=0):
 
 
 def frame_of(points):
-    return SimpleNamespace(points=points.astype(np.float32), mask=np.isfinite(points[..., 0]), period_px=12.0)
+    return SimpleNamespace(points=points.astype(np.float32), period_px=12.0)
 
 
 def test_two_balls_are_found_before_a_wall_and_beside_a_rod():
     points = seen()
-    for ball in find_balls(points, 30.0, GEOMETRY, 2):
+    for ball in find_balls(points, 30.0, GEOMETRY.camera, 2):
         off = np.abs(np.linalg.norm(points[ball][:, None] - CENTRES, axis=2) - 30.0).min(axis=1)
         assert ball.sum() > 2000 and np.quantile(off, 0.99) < 4 * NOISE_MM
 
@@ -43,7 +43,7 @@ def test_two_balls_are_found_before_a_wall_and_beside_a_rod():
 def test_centres_are_off_by_what_their_covariance_says():
     pulls = []
     for seed in range(8):
-        for ball in measure_bar(frame_of(seen(seed=seed)), BAR, GEOMETRY, 7):
+        for ball in measure_balls(frame_of(seen(seed=seed)), 60.0, 2, GEOMETRY.camera, 7):
             off = ball.centre_mm - CENTRES[np.argmin(np.linalg.norm(CENTRES - ball.centre_mm, axis=1))]
             pulls.append(off @ np.linalg.solve(ball.covariance, off) / 3)
             assert abs(ball.radius_mm - 30.0) < NOISE_MM
@@ -61,13 +61,18 @@ def test_centres_are_off_by_what_their_covariance_says():
 )
 def test_what_is_no_bar_is_refused(changes, message):
     with pytest.raises(CalibrationError, match=message):
-        measure_bar(frame_of(seen(**changes)), BAR, GEOMETRY, 7)
+        measure_balls(frame_of(seen(**changes)), 60.0, 2, GEOMETRY.camera, 7)
 
 
 def test_balls_that_are_small_in_the_picture_have_too_few_points():
-    bar = BallBar(14.0, 160.0)
     with pytest.raises(CalibrationError, match=r"only \d+ points of a ball count"):
-        measure_bar(frame_of(seen(radius=7.0)), bar, GEOMETRY, 7)
+        measure_balls(frame_of(seen(radius=7.0)), 14.0, 2, GEOMETRY.camera, 7)
+
+
+def test_one_error_alone_has_no_precision():
+    alone, both = spread("size", [0.3]), spread("size", [0.3, -0.5])
+    assert (alone.largest_mm, alone.trueness_mm) == (0.3, 0.3) and np.isnan(alone.precision_mm)
+    assert (both.largest_mm, both.trueness_mm) == (-0.5, pytest.approx(-0.1))
 
 
 def test_camera_and_projector_see_the_bar_whole_in_all_seven_positions():

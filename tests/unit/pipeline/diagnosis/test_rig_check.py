@@ -22,7 +22,7 @@ KNOWN = {
 }
 
 
-@pytest.mark.parametrize("measured, fine", [(0.0, True), (0.2, True), (0.201, False)])
+@pytest.mark.parametrize("measured, fine", [(0.0, True), (0.2, True), (0.201, False), (-0.2, True), (-0.201, False)])
 def test_twice_the_prediction_is_fine_and_more_is_not(measured, fine):
     assert Measure("flatness", measured, 0.1, "mm").fine == fine
 
