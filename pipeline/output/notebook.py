@@ -7,7 +7,6 @@ import math
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -30,8 +29,6 @@ Pixels = npt.NDArray[np.bool_]
 
 # Of a picture, px: next to it there is room for the figures.
 _WIDTH_PX = 320
-# Pixels that are shaded, at most, per pixel of its width: rims are then smooth, and a large frame takes no longer.
-_FINE = 2
 # Vertices per pixel of a mesh's picture, so that hardly any is left without one.
 _VERTICES_A_PIXEL = 2
 # Of which one is made: enough for its width.
@@ -197,12 +194,7 @@ def _median(values: Floats, unit: str) -> str:
 
 
 def _thumbnail(frame: FrameFields) -> bytes:
-    width = frame.mask.shape[1]
-    shaded = shade_frame(frame, math.ceil(width / (_FINE * _WIDTH_PX)))
-    if shaded.shape[1] > _WIDTH_PX:
-        height = round(_WIDTH_PX * len(shaded) / shaded.shape[1])
-        shaded = np.asarray(cv2.resize(shaded, (_WIDTH_PX, height), interpolation=cv2.INTER_AREA), np.uint8)
-    return encode_png(shaded)
+    return encode_png(shade_frame(frame, math.ceil(frame.mask.shape[1] / _WIDTH_PX)))
 
 
 def _mesh_picture(mesh: Mesh) -> bytes | None:

@@ -130,11 +130,11 @@ def person(p: vec3) -> f32:
     if q.z < 10.0 and q.y < 110.0:
         distance = with_features(q, distance) if distance < _FEATURES_MM else distance - _STAND_OUT_MM
     if side > 50.0 and q.y < 60.0:  # an ear is a dish that opens outwards and to the front
-        e = vec3(side - 74.0, q.y + 8.0, q.z - 4.0)
+        e = vec3(side - 74.0, q.y + 8.0, q.z + 4.0)
         turned = vec3(0.77 * e.x - 0.64 * e.z, e.y - 0.2 * e.z, 0.64 * e.x + 0.77 * e.z)
         dish = ellipsoid(turned - vec3(13.0, -3.0, 0.0), vec3(10.0, 23.0, 13.0))
         ear = smooth_cut(ellipsoid(turned, vec3(8.0, 31.0, 20.0)), dish, 5.0)
-        distance = smooth_union(distance, ear, 10.0)
+        distance = smooth_union(distance, ear, 24.0)
     return ti.max(_SAFE * distance, distance - _BUMPS_MM)
 
 
