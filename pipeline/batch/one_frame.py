@@ -107,7 +107,7 @@ class SimulatedResult:
 
 
 def decode_simulated(out: Path, arch: str, *, force: bool, notify: Callable[[str], None]) -> SimulatedResult:
-    """Simulate a frame of a bust, decode it with the calibration that the rig has found itself, draw and measure it.
+    """Simulate a frame of a portrait, decode it with the calibration that the rig has found, draw and measure it.
 
     Parameters
     ----------
@@ -132,7 +132,8 @@ def decode_simulated(out: Path, arch: str, *, force: bool, notify: Callable[[str
         notify("simulating one colour frame")
         runtime.init(arch)
         # As a camera and a projector see it: pixels with an area, and a lens that blurs.
-        simulation = SimulationSettings(pixel_rays=3, projector_blur_px=(0.6, 0.6, 0.6))
+        blur_px = (0.6, 0.6, 0.6)
+        simulation = SimulationSettings(scene="portrait", object_turn_deg=4.0, pixel_rays=3, projector_blur_px=blur_px)
         truth = simulate_frame(simulated_truth(), simulation)
         calibration = own_calibration()
         notify("decoding it")
@@ -140,14 +141,14 @@ def decode_simulated(out: Path, arch: str, *, force: bool, notify: Callable[[str
         frame = Decoder(settings, calibration, arch=arch).decode(truth.image)
         notify("measuring it")
         measured = measure_against_truth(frame, truth)
-        report = {**frame_report(frame, "simulated bust"), "against_truth": measured}
+        report = {**frame_report(frame, "simulated portrait"), "against_truth": measured}
         write_png(folder / "frame.png", np.asarray(truth.image, np.uint8))
         calibration.write(folder / "calibration.json")
         write_frame(folder, frame, report, notify=notify)
         picture = out / "render.png"
         notify("drawing the mesh")
         try:
-            render_mesh(frame_mesh(frame), folder / "render.png")
+            render_mesh(frame_mesh(frame, MeshOptions(without_background=True)), folder / "render.png")
         except RenderError as error:
             notes = (str(error),)
             picture = out / "shaded.png"

@@ -8,7 +8,7 @@ from pipeline.cli.console import Arch, IntoOther, remark, say, stdout, steps
 
 
 def demo(*, out: Path = Path("colorphase-demo"), arch: Arch = "auto", force: IntoOther = False) -> None:
-    """Simulate one colour frame of a bust, decode it, and measure the result against the truth.
+    """Simulate one colour frame of a portrait, decode it, and measure the result against the truth.
 
     Example: colorphase demo --out demo
 
@@ -34,6 +34,6 @@ def _show(measured: dict[str, float | int]) -> None:
     table.add_row("constant phase error", f"{measured['phase_constant_rad']:+.4f} rad")
     table.add_row("of these, fringe order known for certain", f"{measured['absolute'] / measured['coverage']:.1%}")
     table.add_row("depth error, RMS over all of them", f"{measured['depth_rms_mm']:.3f} mm")
-    table.add_row("depth error, mean: what the calibration is off by", f"{measured['depth_bias_mm']:+.3f} mm")
+    table.add_row("depth error, mean", f"{measured['depth_bias_mm']:+.3f} mm")
     table.add_row("99.9 % are off by less than", f"{measured['depth_p999_mm']:.3f} mm")
     stdout.print(table)

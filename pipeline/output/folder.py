@@ -25,7 +25,7 @@ from pipeline.locking import LOCK, locked
 from pipeline.output.formats.ply import ply_bytes
 from pipeline.output.mesh import provenance_of
 from pipeline.output.mesh_files import write_mesh
-from pipeline.output.range_image import shade_range, write_png, write_range_image
+from pipeline.output.range_image import shade_frame, write_png, write_range_image
 from pipeline.output.store import WORTH_SAYING, holds_footage, in_bytes, is_there, write_store
 from pipeline.output.surface_mesh import MeshOptions, counted_mesh
 
@@ -235,7 +235,7 @@ def write_frame(
     with ThreadPoolExecutor(1, "beside") as beside:
         notify("meshing and storing")
         stored = beside.submit(write_store, folder / STORE, frame)
-        shaded = beside.submit(_write_shaded, folder / "shaded.png", frame)
+        shaded = beside.submit(lambda: write_png(folder / "shaded.png", shade_frame(frame)))
         written = [stored, shaded]
         if part is not None:
             mesh, counts = counted_mesh(frame, part)
@@ -249,7 +249,3 @@ def write_frame(
         for done in written:
             done.result()
     (folder / "report.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
-
-
-def _write_shaded(path: Path, frame: DecodedFrame) -> None:
-    write_png(path, shade_range(frame.range_image, frame.mask, frame.points))

@@ -16,9 +16,9 @@ from pipeline.decoding.frame_fields import FrameFields
 from pipeline.errors import FootageError, OutputError, SettingsError
 from pipeline.files import write_atomically
 from pipeline.output.formats.table import encode_as, format_of
-from pipeline.output.mesh import Mesh, flag_counts
+from pipeline.output.mesh import Mesh, flag_counts, vertex_normals
 from pipeline.output.mesh_files import write_mesh
-from pipeline.output.range_image import encode_png, shade_range
+from pipeline.output.range_image import HIDDEN, encode_png, shade_frame, shade_normals
 from pipeline.output.store import write_store
 from pipeline.output.stored_result import StoredResult
 from pipeline.output.surface_mesh import frame_grid, frame_mesh
@@ -60,7 +60,7 @@ def _frame_html(frame: DecodedFrame) -> str:
     }
     if frame.point_sigma is not None:
         figures["point sigma, median"] = _median(frame.point_sigma[mask], "mm")
-    return html_block("Decoded frame", figures, frame.warnings, _thumbnail(frame.range_image, mask, frame.points))
+    return html_block("Decoded frame", figures, frame.warnings, _thumbnail(frame))
 
 
 @to_html.register
@@ -85,7 +85,7 @@ def _result_html(result: StoredResult) -> str:
                 depth, mask = frame.range_image if points is None else points[..., 2], frame.mask
                 spans = _range_figures(depth, mask, unit)
                 figures |= {f"frame {frame.number}, {name}": text for name, text in spans.items()}
-                picture = _thumbnail(depth, mask, points)
+                picture = _thumbnail(frame)
         except FootageError as error:
             warnings.append(str(error))
     return html_block("Stored result", figures, warnings, picture)
@@ -214,22 +214,21 @@ def _median(values: Floats, unit: str) -> str:
     return f"{np.median(known):.3g} {unit}" if known.size else "unknown"
 
 
-def _thumbnail(values: Floats, mask: Pixels, points: Floats | None) -> bytes:
-    step = math.ceil(mask.shape[1] / _WIDTH_PX)
-    small = np.s_[::step, ::step]
-    return encode_png(shade_range(values[small], mask[small], None if points is None else points[small]))
+def _thumbnail(frame: FrameFields) -> bytes:
+    return encode_png(shade_frame(frame, math.ceil(frame.mask.shape[1] / _WIDTH_PX)))
 
 
 def _mesh_picture(mesh: Mesh) -> bytes | None:
     """Return a mesh as it is seen along z, by its vertices."""
     if not len(mesh.faces):
         return None
-    some = mesh.vertices[:: math.ceil(len(mesh.vertices) / _MOST_VERTICES)]
-    places = some[np.argsort(-some[:, 2])]  # the nearest comes last, and stays
+    every = math.ceil(len(mesh.vertices) / _MOST_VERTICES)
+    some = mesh.vertices[::every]
+    order = np.argsort(-some[:, 2])  # the nearest comes last, and stays
+    places, normals = some[order], vertex_normals(mesh)[::every][order]
     low, span = places.min(axis=0), np.ptp(places, axis=0)
     pixel = max(math.sqrt(_VERTICES_A_PIXEL * span[0] * span[1] / len(places)), span[:2].max() / (_WIDTH_PX - 1))
     column, row = ((places[:, :2] - low[:2]) / pixel).astype(np.intp).T
-    seen = np.full((row.max() + 1, column.max() + 1, 3), np.nan, np.float32)
-    seen[row, column] = places
-    mask = np.isfinite(seen[..., 2])
-    return encode_png(shade_range(seen[..., 2], mask, seen if mesh.unit == "mm" else None))
+    picture = np.full((row.max() + 1, column.max() + 1, 3), HIDDEN, np.uint8)
+    picture[row, column] = shade_normals(normals, mesh.unit)
+    return encode_png(picture)

@@ -1,25 +1,31 @@
 """A range image for people: in colours with a scale, and shaded as the camera sees it."""
 
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from pipeline.decoding.frame_fields import FrameFields
 from pipeline.files import write_atomically
 from pipeline.output.background import object_pixels
 from pipeline.output.mesh import Unit
 from pipeline.output.pictures.picture_overlay import ColorScale, color_bar_width, draw_color_bar
-from pipeline.output.pictures.viewpoint import CLAY
+from pipeline.output.pictures.viewpoint import CLAY, Viewpoint, lit_colors
+from pipeline.output.surface_mesh import fitted_normals
 
-# Grey level of pixels that hold no value.
-_HIDDEN = 48
-# Rows that are shaded at a time: of a large picture each temporary would be fresh memory.
-_ROWS = 64
-# From the surface to the lamp.
-_TO_LAMP = (np.array([-1, -1, -2]) / np.sqrt(6)).astype(np.float32)
-# Lines of pixels that distinguish steps from slopes, and pixels per side that distinguish the object from a wall.
+Floats = npt.NDArray[np.float32]
+Pixels = npt.NDArray[np.bool_]
+
+#: Grey level of pixels that hold no value.
+HIDDEN = 48
+# Pixels that are shaded at a time: of a large picture each temporary would be fresh memory.
+_BLOCK = 2**15
+# Where the camera is as seen from its surfaces, all in the same direction.
+_CAMERA = Viewpoint(position=(0.0, 0.0, -1.0), focal_point=(0.0, 0.0, 0.0))
+# Slope that a surface in rad is shown with where its steep tenth begins: the usual one may be noise.
+_STEEP = 1.2
+# Pixels per side that distinguish the object from a wall.
 _ASKED_LINES = 500
 
 
@@ -28,7 +34,7 @@ def depth_colors(
 ) -> npt.NDArray[np.uint8]:
     """Return a range image in the colours of a scale, (H, W, 3) RGB; dark grey where there is no value."""
     mask = mask & np.isfinite(values)
-    return np.where(mask[..., None], scale.colors(np.where(mask, values, scale.low)), np.uint8(_HIDDEN))
+    return np.where(mask[..., None], scale.colors(np.where(mask, values, scale.low)), np.uint8(HIDDEN))
 
 
 def write_range_image(
@@ -59,20 +65,24 @@ def write_range_image(
     name, told = ("depth", "mm") if unit == "mm" else ("", "rad, not mm")
     scale = ColorScale.over(some[chosen], name, told, grey_beyond=not np.array_equal(chosen, seen))
     image = depth_colors(values, mask, scale)
+    write_png(path, with_color_bar(image, scale) if mask.any() else image)  # of nothing there is no scale
+
+
+def with_color_bar(image: npt.NDArray[np.uint8], scale: ColorScale) -> npt.NDArray[np.uint8]:
+    """Return an image, (H, W, 3) RGB, with the bar that explains its colours to the right of it, on dark grey."""
     height = max(len(image), 160)  # room for the scale's numbers next to a small image
     gap = round(height / 40)
     width = gap * 3 + color_bar_width(scale, height - 2 * gap)
-    canvas = np.full((height, image.shape[1] + width, 3), _HIDDEN, np.uint8)
+    canvas = np.full((height, image.shape[1] + width, 3), HIDDEN, np.uint8)
     canvas[: len(image), : image.shape[1]] = image
-    if mask.any():  # else there is nothing to show
-        draw_color_bar(canvas, scale, (image.shape[1] + gap, gap), height - 2 * gap)
-    write_png(path, canvas)
+    draw_color_bar(canvas, scale, (image.shape[1] + gap, gap), height - 2 * gap)
+    return canvas
 
 
 def shade_range(
-    values: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_], points: npt.NDArray[np.float32] | None = None
+    values: Floats, mask: Pixels, points: Floats | None = None, sigma: Floats | None = None
 ) -> npt.NDArray[np.uint8]:
-    """Shade a range image as seen by the camera, lit from the upper left.
+    """Shade the surface fitted to a range image, as seen by the camera, lit from the upper left.
 
     Parameters
     ----------
@@ -82,78 +92,48 @@ def shade_range(
         Pixels that hold a value; NaN pixels are left out too.
     points : (H, W, 3) float32, optional
         The surface in mm, camera frame: its true normals are used instead.
+    sigma : (H, W) float32, optional
+        Standard deviation of the range; None: the range image's own scatter.
 
     Returns
     -------
     (H, W, 3) uint8
         RGB; dark grey where there is no value.
-
-    Notes
-    -----
-    Slopes come from the neighbours on both sides; one that is masked or beyond a depth step does not count.
     """
-    surface = values[..., None] if points is None else points
-    most = [_largest_slope(surface, mask, axis) for axis in range(2)]
-    steep = _steep_slope(values, mask, most) if points is None else 1.0
-    shaded = np.empty((*mask.shape, 3), np.uint8)
-    for rows in _blocks(len(mask)):
-        along_x, along_y, known = _slopes(surface, mask, rows, most)
-        if points is None:
-            x, y, z = along_x[0], along_y[0], np.full_like(along_x[0], -steep)
-        else:
-            (ax, ay, az), (bx, by, bz) = along_y, along_x
-            x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-        length = np.sqrt(x * x + y * y + z * z)
-        flat = length == 0  # or without neighbours
-        z[flat] = length[flat] = -1
-        cosines = (x * _TO_LAMP[0] + y * _TO_LAMP[1] + z * _TO_LAMP[2]) / np.abs(length)
-        lit = np.float32(0.15) + np.float32(0.85) * cosines.clip(0, 1)
-        for channel, full in enumerate(CLAY):
-            shaded[rows, :, channel] = np.where(known, lit * full, np.float32(_HIDDEN))
+    depth = values if points is None else points[..., 2]
+    mask = mask & np.isfinite(depth)
+    normals = fitted_normals(depth, mask, points, None if sigma is None else sigma[mask])
+    places = np.flatnonzero(np.isfinite(normals[..., 0]))
+    shaded = np.full((*mask.shape, 3), HIDDEN, np.uint8)
+    shaded.reshape(-1, 3)[places] = shade_normals(normals.reshape(-1, 3)[places], "rad" if points is None else "mm")
     return shaded
 
 
-def _blocks(height: int) -> list[slice]:
-    return [slice(first, min(first + _ROWS, height)) for first in range(0, height, _ROWS)]
+def shade_frame(frame: FrameFields, every: int = 1) -> npt.NDArray[np.uint8]:
+    """Shade a frame, decoded or stored, as `shade_range` does; of its pixels every so many-th, in rows and columns."""
+    some = np.s_[::every, ::every]
+    points = frame.points if "points" in frame.fields else None
+    values = frame.range_image if points is None else points[..., 2]
+    name = "point_sigma" if frame.calibrated else "phase_sigma"
+    sigma = getattr(frame, name)[some] if name in frame.fields else None
+    return shade_range(values[some], frame.mask[some], None if points is None else points[some], sigma)
 
 
-def _steep_slope(values: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_], most: list[float]) -> float:
-    """Return the slope that is shown as 50 degrees: where the steep tenth starts, as the usual one may be noise."""
-    found = []
-    for rows in _blocks(len(mask)):
-        along_x, along_y, known = _slopes(values[..., None], mask, rows, most)
-        found.append(np.hypot(along_x[0], along_y[0])[known])
-    sizes = np.concatenate(found) if found else np.empty(0, np.float32)
-    steep = float(np.percentile(sizes, 90)) / 1.2 if len(sizes) else 0.0
-    return steep if steep > 0 else 1.0
+def shade_normals(normals: Floats, unit: Unit) -> npt.NDArray[np.uint8]:
+    """Return the RGB of clay, (N, 3), as a camera sees it along z: by normals, (N, 3), of a surface in mm or rad.
 
-
-def _largest_slope(surface: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_], axis: int) -> float:
-    """Return the largest change of depth from one pixel to the next that is a slope, and no step."""
-    every = max(1, mask.shape[1 - axis] // _ASKED_LINES)
-    depth, known = np.moveaxis(surface[..., -1], axis, 1)[::every], np.moveaxis(mask, axis, 1)[::every]
-    with np.errstate(invalid="ignore"):  # of pixels without a value
-        reach = np.abs(np.diff(depth, axis=1))[known[:, 1:] & known[:, :-1]]
-    reach = reach[np.isfinite(reach)]
-    # A depth step stands far out of the slopes of surfaces, and is rare.
-    return 4 * float(np.percentile(reach, 95)) if len(reach) else 0.0
-
-
-def _slopes(
-    surface: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_], rows: slice, most: list[float]
-) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
-    """Return the slopes per pixel to the right and down in some rows, (C, H, W) each, and where there is a value."""
-    top, bottom = max(rows.start - 1, 0), min(rows.stop + 1, len(mask))
-    inner = slice(rows.start - top, rows.stop - top)
-    # Each coordinate by itself: arithmetic on them is several times as fast.
-    planes = np.moveaxis(surface[top:bottom], -1, 0).copy()
-    known = mask[top:bottom] & np.isfinite(planes[-1])
-    for plane in planes[:-1]:
-        known &= np.isfinite(plane)
-    planes[:, ~known] = 0
-    along_x = _slope(planes[:, inner], known[inner], most[1], np.s_[..., 1:], np.s_[..., :-1])
-    along_y = _slope(planes, known, most[0], np.s_[..., 1:, :], np.s_[..., :-1, :])
-    return along_x, along_y[:, inner], known[inner]
+    A surface in rad has no true slopes: the steep tenth begins at 50 degrees.
+    """
+    if unit == "rad" and len(normals):
+        slopes = normals[:, :2] / -normals[:, 2:]
+        steep = float(np.percentile(np.linalg.norm(slopes, axis=1), 90)) / _STEEP
+        normals = np.column_stack([slopes / steep if steep > 0 else slopes, np.full(len(slopes), -1, np.float32)])
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    shaded = np.empty(normals.shape, np.uint8)
+    for start in range(0, len(normals), _BLOCK):
+        part = normals[start : start + _BLOCK]
+        shaded[start : start + _BLOCK] = lit_colors(np.zeros_like(part), part, CLAY.astype(np.uint8), _CAMERA)
+    return shaded
 
 
 def write_png(path: str | Path, image: npt.NDArray[np.uint8]) -> None:
@@ -170,18 +150,3 @@ def write_png(path: str | Path, image: npt.NDArray[np.uint8]) -> None:
 def encode_png(image: npt.NDArray[np.uint8]) -> bytes:
     """Return an RGB image, (H, W, 3) uint8, or one with opacity, (H, W, 4), as a PNG file."""
     return bytes(cv2.imencode(".png", image[..., [2, 1, 0, 3][: image.shape[-1]]])[1].tobytes())
-
-
-def _slope(
-    planes: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_], most: float, after: Any, before: Any
-) -> npt.NDArray[np.float32]:
-    """Return the slope per pixel from what is before to what is after it, (C, H, W); 0 where neither side has one."""
-    steps = planes[after] - planes[before]
-    whole = mask[after] & mask[before] & (np.abs(steps[-1]) <= most)
-    steps *= whole
-    sums, counts = np.zeros_like(planes), np.zeros(mask.shape, np.float32)
-    for side in (after, before):
-        sums[side] += steps
-        counts[side] += whole
-    sums /= np.maximum(counts, 1)
-    return sums

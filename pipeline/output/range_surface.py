@@ -127,7 +127,8 @@ class RangeSurface:
 
 def _scatter(depth: Floats, mask: Pixels) -> float:
     """Return the depth's standard deviation by its second differences along the rows."""
-    first, middle, last = (slice(_APART_PX * k, depth.shape[1] - _APART_PX * (2 - k)) for k in range(3))
+    width = max(depth.shape[1] - 2 * _APART_PX, 0)
+    first, middle, last = (slice(_APART_PX * k, _APART_PX * k + width) for k in range(3))
     both = mask[:, first] & mask[:, middle] & mask[:, last]
     bends = (depth[:, first] - 2 * depth[:, middle] + depth[:, last])[both].astype(np.float64)
     known = robust_sigma(bends) / np.sqrt(6) if len(bends) else 0.0

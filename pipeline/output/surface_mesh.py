@@ -256,6 +256,39 @@ def surface_mesh(
     return mesh, _counted(mesh, *(int(pixels.sum()) for pixels in (*left_out, joined.specks, joined.teeth)))
 
 
+def fitted_normals(values: Floats, mask: Pixels, points: Floats | None, sigma: Floats | None) -> Floats:
+    """Return the normals of the surface fitted to a range image, cut at depth steps.
+
+    Parameters
+    ----------
+    values : (H, W) float32
+        Relative phase, rad; of no account where there are points.
+    mask : (H, W) bool
+        Pixels that have a range.
+    points : (H, W, 3) float32 or None
+        mm, camera frame.
+    sigma : (N,) float32 or None
+        Standard deviation of each masked pixel, row by row; None: the range image's own scatter.
+
+    Returns
+    -------
+    (H, W, 3) float32
+        Unit vectors towards the camera, in px and rad without points; NaN where there is no surface.
+    """
+    surface = RangeSurface.of(values, mask, points, sigma, None)
+    known = surface.region != 0
+    places, shift = np.flatnonzero(known), np.zeros((*mask.shape, 2), np.float32)
+    with runtime.lock:
+        fitted = fit_surface(surface.depth, surface.sigma, known, _links(surface))
+        if points is None:
+            found = _relief(places, fitted.depth, fitted.slope, shift)[1]
+        else:
+            found = place_vertices(fitted.depth, fitted.slope, shift, points, mask, known)[1]
+    normals = np.full((*mask.shape, 3), np.nan, np.float32)
+    normals.reshape(-1, 3)[places] = found
+    return normals
+
+
 class _Joined(NamedTuple):
     """A range image whose pixels are joined."""
 

@@ -35,7 +35,7 @@ def main() -> None:
 def draw_pixel(path: Path) -> None:
     """Draw the channels over a cycle on two paints, and what a pixel of one leaves over under the matrix of each."""
     phase = np.linspace(-np.pi, np.pi, 361)
-    figure, axes = plt.subplots(1, 3, figsize=(9.6, 2.9))
+    figure, axes = plt.subplots(1, 3, figsize=(9.6, 3.3))
     for axis, paint in zip(axes, ("white", "orange"), strict=False):
         matrix = surface_matrix(PAINTS[paint])
         channels = _BRIGHT * light(phase) @ matrix.T + _AMBIENT * matrix.sum(axis=1)
@@ -53,7 +53,7 @@ def draw_pixel(path: Path) -> None:
         axes[2].plot(phase, _left_over(seen, matrix), label=name)
     axes[2].axhspan(-1, 1, color="0.9")
     axes[2].set_title("z of an orange pixel, in $\\sigma$ of the noise")
-    axes[2].legend(loc="upper right")
+    figure.legend(*axes[2].get_legend_handles_labels(), loc="outside lower right", ncols=2, frameon=False)
     for axis in axes:
         axis.set_xlim(-np.pi, np.pi)
         axis.set_xticks([-np.pi, 0, np.pi], ["$-\\pi$", "0", "$\\pi$"])
@@ -81,19 +81,20 @@ def draw_surfaces(path: Path) -> None:
     surfaces = memory_of(found).surfaces
     assert surfaces is not None, "no surfaces were found"
     labels = runtime.to_host(surfaces.crosstalk.surfaces.labels)
-    figure, axes = plt.subplots(1, 4, figsize=(9.6, 2.4))
+    figure, grid = plt.subplots(2, 2, figsize=(9.0, 6.4))
+    axes = grid.ravel()
     axes[0].imshow(np.clip(image / 255, 0, 1) ** (1 / 2.2))
     axes[0].set_title("frame")
     axes[1].imshow(labels, cmap="tab10", vmax=9)
     axes[1].set_title("surfaces found")
-    for axis, frame, title in ((axes[2], alike, "error, one crosstalk"), (axes[3], found, "one for each paint")):
+    for axis, frame, title in ((axes[2], alike, "error, one crosstalk"), (axes[3], found, "error, one for each paint")):
         error = np.angle(np.exp(1j * (frame.unwrapped_phase - phase)))
         picture = axis.imshow(error, cmap="RdBu", vmin=-0.3, vmax=0.3)
-        axis.set_title(f"{title}:\n{np.sqrt(np.nanmean(error**2)):.3f} rad")
-    figure.colorbar(picture, ax=axes[3], label="rad")
+        axis.set_title(f"{title}: {np.sqrt(np.nanmean(error**2)):.3f} rad")
+    figure.colorbar(picture, ax=axes[2:], label="rad")
     for axis in axes:
         axis.set_axis_off()
-    figure.savefig(path, dpi=110, metadata={"Software": None})
+    figure.savefig(path, dpi=100, metadata={"Software": None})
     plt.close(figure)
 
 

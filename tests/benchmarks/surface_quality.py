@@ -2,7 +2,7 @@
 
 python tests/benchmarks/surface_quality.py [--rendered FOLDER]
 
-Each scene is lit, photographed and decoded as `colorphase demo` does its bust, and meshed as it is and smoothed. Of the
+Each scene is lit, photographed and decoded as in `colorphase demo`, and meshed as it is and smoothed. Of the
 vertices that were measured: which share lies within three of their standard deviations of the true surface, and which
 beyond six; of the lit pixels, which share are vertices; how many triangles join what lies 5 mm or more apart; which
 share of the rims lies within 1.5 px of an edge of what is lit and seen; and how far depth and normals are off. Vertices

@@ -16,6 +16,7 @@ import _tests_path  # noqa: F401 - puts `support` on the path
 import matplotlib.pyplot as plt
 import numpy as np
 import numpy.typing as npt
+from support.picture_sheet import Panel, Picture, enlarged, write_sheet
 from support.symptom_frames import (
     SEQUENCES,
     SYMPTOMS,
@@ -31,23 +32,18 @@ from pipeline import Decoder, DecodeSettings
 from pipeline.decoding.frame import DecodedFrame
 from pipeline.footage.footage import StoredFrame
 from pipeline.footage.opening import open_footage
+from pipeline.output.background import object_pixels
 from pipeline.output.pictures.picture_overlay import ColorScale
-from pipeline.output.range_image import depth_colors, shade_range
+from pipeline.output.range_image import depth_colors, shade_frame, with_color_bar
 from pipeline.simulation import SimulatedFrame
 from tikernels import runtime
 from tikernels.raw.development import develop
 from tikernels.raw.linearization import linearize
 
 _PAGE = Path(__file__).resolve().parents[2] / "docs" / "troubleshooting"
-# A strip of four panels is then as wide as a page of text, and its fringes are not resampled to nothing.
-_PANEL_IN, _DPI = 2.1, 100
-# JPEG as small as fringes bear; the page's pictures are to stay below 600 kB together.
-# Their colours are not to be subsampled, of all pictures.
-_JPEG = {"quality": 75, "optimize": True, "subsampling": 0}
-_ERROR_RAD = 0.3  # of all pictures of errors
-_HIDDEN = 48  # grey level where nothing was measured, as in `range.png`
-Picture = npt.NDArray[np.uint8]
-Panel = tuple[str, Picture]
+# Half of a page's width is then as many pixels as a screen has there.
+_PANEL_PX, _COLUMNS = 340, 2
+_ERROR = ColorScale(-0.3, 0.3, "error", "rad", diverging=True)  # of all pictures of errors
 #: The rows and columns that a panel shows of a frame, px.
 WHOLE = np.s_[:, :]
 FACE = np.s_[120:330, 210:490]
@@ -60,27 +56,34 @@ def as_seen(image: Picture, part: Any = WHOLE) -> Picture:
 
 
 def error_colors(frame: DecodedFrame, truth: SimulatedFrame, part: Any = WHOLE) -> Picture:
-    """Return the error of the phase, a constant removed: blue is too small, white right, red too large."""
+    """Return the error of the phase, a constant removed, with its scale."""
     error = np.angle(np.exp(1j * (frame.wrapped_phase - truth.phase)))
     error -= np.nanmedian(error)
-    colors = plt.get_cmap("RdBu_r")(0.5 + 0.5 * np.nan_to_num(error) / _ERROR_RAD)[..., :3]
-    return np.asarray(np.where((frame.mask & truth.mask)[..., None], 255 * colors, _HIDDEN)[part], np.uint8)
+    return colored(error.astype(np.float32), frame.mask & truth.mask, _ERROR, part)
+
+
+def colored(values: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_], scale: ColorScale, part: Any) -> Picture:
+    """Return a part of a field as large as a panel, with its scale."""
+    return with_color_bar(enlarged(depth_colors(values, mask, scale)[part], _PANEL_PX), scale)
 
 
 def shaded(frame: DecodedFrame, part: Any = WHOLE) -> Picture:
     """Return a surface as `shaded.png` shows it, and of a part only that part's relief."""
-    return shade_range(frame.range_image, frame.mask, frame.points)[part]
+    return shade_frame(frame)[part]
 
 
 def ranges(frame: DecodedFrame, *truths: SimulatedFrame, part: Any = WHOLE) -> Picture:
     """Return a range image as `range.png` shows it, in the colours of the true depths where these are given."""
-    values = frame.range_image
-    scale = ColorScale.over(values[frame.mask & np.isfinite(values)], "", "")
+    values, shown = frame.range_image, frame.mask & np.isfinite(frame.range_image)
     if truths:
         depths_mm = np.concatenate([truth.points[..., 2][truth.mask] for truth in truths])
         near, far = np.percentile(depths_mm, (1, 99)).tolist()
-        scale = ColorScale(near - 25.0, far + 25.0, "", "")
-    return depth_colors(values, frame.mask, scale)[part]
+        scale = ColorScale(near - 25.0, far + 25.0, "depth", "mm")
+    else:
+        known = object_pixels(values, shown) if frame.calibrated else shown
+        name = "depth" if frame.calibrated else "range"
+        scale = ColorScale.over(values[known], name, frame.range_unit, grey_beyond=not np.array_equal(known, shown))
+    return colored(values, shown, scale, part)
 
 
 def seen(name: str) -> tuple[Symptom, DecodedFrame]:
@@ -89,26 +92,12 @@ def seen(name: str) -> tuple[Symptom, DecodedFrame]:
     return symptom, symptom.decode()
 
 
-def draw(name: str, panels: list[Panel], columns: int) -> None:
-    """Write panels in rows, each under a few words."""
-    rows = -(-len(panels) // columns)
-    height, width = panels[0][1].shape[:2]
-    size = (columns * _PANEL_IN, rows * (_PANEL_IN * height / width + 0.2))
-    figure, axes = plt.subplots(rows, columns, figsize=size, squeeze=False, layout="constrained")
-    for axis in axes.flat:
-        axis.set_axis_off()
-    for axis, (title, picture) in zip(axes.flat, panels, strict=False):
-        axis.imshow(picture, interpolation="antialiased")
-        axis.set_title(title, fontsize=7.5, pad=3)
-    save(figure, name)
-
-
-def save(figure: Any, name: str) -> None:
-    """Write a figure into the page's folder."""
-    figure.get_layout_engine().set(w_pad=0.02, h_pad=0.02, wspace=0.01, hspace=0.01)
-    _PAGE.mkdir(exist_ok=True)
-    figure.savefig(_PAGE / f"{name}.jpg", dpi=_DPI, pil_kwargs=_JPEG)
-    plt.close(figure)
+def draw(name: str, panels: list[Panel]) -> None:
+    """Write panels into the page's folder, two in a row."""
+    large = [
+        (words, picture if len(picture) == _PANEL_PX else enlarged(picture, _PANEL_PX)) for words, picture in panels
+    ]
+    write_sheet(_PAGE / f"{name}.jpg", large, _COLUMNS)
 
 
 def draw_nothing_measured() -> None:
@@ -117,9 +106,9 @@ def draw_nothing_measured() -> None:
         "dark": "too dark",
         "no_pattern": "no pattern",
         "vertical": "stripes the other way",
-        "too_fine": "3 px a cycle",
+        "too_fine": "3 px per cycle",
     }
-    draw("nothing_measured", [(title, as_seen(SYMPTOMS[n]().image, DETAIL)) for n, title in titles.items()], 4)
+    draw("nothing_measured", [(title, as_seen(SYMPTOMS[n]().image, DETAIL)) for n, title in titles.items()])
 
 
 def draw_holes() -> None:
@@ -128,30 +117,25 @@ def draw_holes() -> None:
     for name, title in (("gloss", "highlights"), ("over_exposed", "over-exposed")):
         symptom, frame = seen(name)
         assert symptom.truth is not None
-        panels += [(title, as_seen(symptom.image, FACE)), ("range", ranges(frame, symptom.truth, part=FACE))]
-    draw("holes", panels, 4)
+        panels += [(title, as_seen(symptom.image, FACE)), ("depth", ranges(frame, part=FACE))]
+    draw("holes", panels)
 
 
 def draw_ripple() -> None:
-    """Draw ripple once, twice and three times a cycle, with the error below."""
+    """Draw ripple once, twice and three times a cycle, with the error next to it."""
     symptoms = {
-        "good": one_fault(scene="waves"),
-        "over-exposed: once a cycle, and more": one_fault(scene="waves", exposure=2.2),
-        "crosstalk: twice a cycle": SYMPTOMS["crosstalk"](),
-        "transfer: three times a cycle": SYMPTOMS["transfer"](),
+        "frame, as it should be": one_fault(scene="waves"),
+        "over-exposed: once per cycle, and more": one_fault(scene="waves", exposure=2.2),
+        "crosstalk: twice per cycle": SYMPTOMS["crosstalk"](),
+        "transfer: three times per cycle": SYMPTOMS["transfer"](),
     }
-    frames = {title: symptom.decode() for title, symptom in symptoms.items()}
-    panels = [
-        ("frame" if title == "good" else title, as_seen(symptoms["good"].image, DETAIL))
-        if title == "good"
-        else (title, shaded(frame, DETAIL))
-        for title, frame in frames.items()
-    ]
-    for title, frame in frames.items():
-        truth = symptoms[title].truth
-        assert truth is not None
-        panels.append(("error, as it should be" if title == "good" else "error", error_colors(frame, truth, DETAIL)))
-    draw("ripple", panels, 4)
+    panels: list[Panel] = []
+    for title, symptom in symptoms.items():
+        frame = symptom.decode()
+        assert symptom.truth is not None
+        first = shaded(frame, DETAIL) if panels else as_seen(symptom.image, DETAIL)
+        panels += [(title, first), ("its error", error_colors(frame, symptom.truth, DETAIL))]
+    draw("ripple", panels)
 
 
 def draw_orders() -> None:
@@ -164,13 +148,12 @@ def draw_orders() -> None:
         "orders",
         [
             ("three objects, plain pattern", as_seen(apart.image)),
-            ("range", ranges(floating, coded.truth)),
-            ("with the code", ranges(coded.decode(), coded.truth)),
             ("a plain pattern, taken for a coded one", as_seen(other.image)),
-            ("range", ranges(mistaken, bust.truth)),
-            ("with the code", ranges(bust.decode(), bust.truth)),
+            ("depth", ranges(floating, coded.truth)),
+            ("depth", ranges(mistaken, bust.truth)),
+            ("depth with the code", ranges(coded.decode(), coded.truth)),
+            ("depth with the code", ranges(bust.decode(), bust.truth)),
         ],
-        3,
     )
 
 
@@ -184,19 +167,18 @@ def draw_sides() -> None:
         "sides",
         [
             ("frame, no calibration", as_seen(symptom.image)),
-            ('range, projector_side = "below"', ranges(inside_out)),
-            ("range, as it should be", ranges(right)),
             ("frame, mirrored", as_seen(mirrored.image)),
+            ('range, projector_side = "below"', ranges(inside_out)),
             ("its surface, mirrored, too", shaded(mirrored.decode())),
+            ("range, as it should be", ranges(right)),
             ("surface, as it should be", shaded(good.decode())),
         ],
-        3,
     )
 
 
 def draw_geometry() -> None:
     """Draw depth along a column: of a plane after the projector was moved, and of a ball with a wrong scale."""
-    figure, axes = plt.subplots(1, 2, figsize=(4 * _PANEL_IN, 2.3), layout="constrained")
+    figure, axes = plt.subplots(1, 2, figsize=(10.5, 4), layout="constrained")
     names = (
         ("projector_moved", "a plane, projector turned by 0.5 degrees"),
         ("wrong_scale", "a ball, baseline 20 % long"),
@@ -207,12 +189,12 @@ def draw_geometry() -> None:
         column = np.s_[:, frame.mask.shape[1] // 2]
         for points, style, label in ((frame.points, "tab:red", "measured"), (symptom.truth.points, "0.4", "true")):
             axis.plot(points[column][:, 2], color=style, label=label)
-        axis.set_title(title, fontsize=7.5)
-        axis.set_xlabel("row", fontsize=7)
-        axis.set_ylabel("depth, mm", fontsize=7)
-        axis.tick_params(labelsize=6)
-        axis.legend(fontsize=7)
-    save(figure, "geometry")
+        axis.set_title(title)
+        axis.set_xlabel("row of the camera, px")
+        axis.set_ylabel("depth, mm")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
+    figure.savefig(_PAGE / "geometry.jpg", dpi=100, pil_kwargs={"quality": 84, "optimize": True, "subsampling": 0})
+    plt.close(figure)
 
 
 def draw_edges() -> None:
@@ -228,9 +210,9 @@ def draw_edges() -> None:
         if symptom.jpeg_quality is not None:
             symptom = _read_again(symptom)
         assert symptom.truth is not None
-        panels.insert(len(panels) // 2, (title, as_seen(symptom.image, shown)))
-        panels.append(("error", error_colors(symptom.decode(), symptom.truth, shown)))
-    draw("edges", panels, 3)
+        panels.append((title, as_seen(symptom.image, shown)))
+        panels.append(("its error", error_colors(symptom.decode(), symptom.truth, shown)))
+    draw("edges", panels)
 
 
 def _read_again(symptom: Symptom) -> Symptom:
@@ -247,7 +229,7 @@ def draw_noise() -> None:
     panels = [("as it should be", shaded(one_fault().decode(), FACE))]
     for name, title in (("noisy", "noise of 8 levels"), ("other_light", "other light, contrast 10 %")):
         panels.append((title, shaded(seen(name)[1], FACE)))
-    draw("noise", [*panels, ("56 px a cycle", shaded(seen("long_period")[1], FACE))], 4)
+    draw("noise", [*panels, ("56 px per cycle", shaded(seen("long_period")[1], FACE))])
 
 
 def draw_motion() -> None:
@@ -258,26 +240,24 @@ def draw_motion() -> None:
         "color_fields": "2 mm from colour to colour",
         "rolling_shutter": "rolling shutter, colour wheel",
     }
-    found = {name: seen(name) for name in titles}
-    panels += [(titles[name], as_seen(symptom.image)) for name, (symptom, _) in found.items()]
-    for symptom, frame in found.values():
+    for name, title in titles.items():
+        symptom, frame = seen(name)
         assert symptom.truth is not None
-        panels.append(("error", error_colors(frame, symptom.truth)))
-    draw("motion", panels, 3)
+        panels += [(title, as_seen(symptom.image)), ("its error", error_colors(frame, symptom.truth))]
+    draw("motion", panels)
 
 
 def draw_video() -> None:
     """Draw a head that comes nearer, frame by frame, under a plain pattern and under the coded one."""
-    panels: list[Panel] = []
+    shown: dict[str, list[Picture]] = {}
     kinds: tuple[tuple[Literal["contrast"] | None, str], ...] = ((None, "plain"), ("contrast", "with the code"))
     for code, title in kinds:
         film = approaching(code, 6)
         decoder, before = Decoder(DecodeSettings(), calibrated(rig(code)), arch="cpu"), None
-        for number, truth in enumerate(film):
+        for truth in film:
             before = decoder.decode(np.asarray(truth.image, np.uint8), previous=before)
-            if number >= len(film) - 4:
-                panels.append((f"{title}, frame {number}", ranges(before, *film)))
-    draw("video", panels, 4)
+            shown.setdefault(title, []).append(ranges(before, *film))
+    draw("video", [(f"{title}, frame {number}", shown[title][number]) for number in range(2, 6) for title in shown])
 
 
 PICTURES: dict[str, Callable[[], None]] = {

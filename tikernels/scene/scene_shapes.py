@@ -1,45 +1,25 @@
 """The scenes as signed distance fields in the camera's frame (mm).
 
 A distance field is negative inside a surface, positive outside, and nowhere steeper than one, so that a ray may always
-go on by it. Shapes are joined and cut with fillets (I. Quilez, Smooth minimum, 2013,
-https://iquilezles.org/articles/smin). A scene's objects, but not the wall behind them, may have moved.
+go on by it. A scene's objects, but not the wall behind them, may have moved.
 """
 
 from functools import cache
 from typing import Any
 
 from tikernels._taichi import f32, ti, vec3, vec4
+from tikernels.scene.portrait import person
+from tikernels.scene.solids import ellipsoid, smooth_cut, smooth_union
 
 #: Shapes of one colour, nearly.
 SHAPES = ("bust", "plane", "waves", "objects", "ball")
-#: The portrait is the bust, painted as a person (`scene_colors.py`).
+#: The portrait is a person (`portrait.py`).
 SCENES = (*SHAPES, "portrait")
 
 # Depth of the upright axis that objects turn about.
 _AXIS_MM = 880.0
-# Further than this from what holds the bust its own distance is not worth computing; a film renders a fifth faster.
+# Further than this from what holds the person their own distance is not worth computing; a film renders a fifth faster.
 _AROUND_MM = 10.0
-
-
-@ti.func
-def ellipsoid(p: vec3, radii: vec3) -> f32:
-    """Distance to an ellipsoid, to first order."""
-    outer = (p / radii).norm()
-    inner = (p / (radii * radii)).norm()
-    return outer * (outer - 1.0) / ti.max(inner, 1e-6)
-
-
-@ti.func
-def smooth_union(a: f32, b: f32, blend_mm: f32) -> f32:
-    """Return the smaller of two distances, with a fillet."""
-    h = ti.max(blend_mm - ti.abs(a - b), 0.0) / blend_mm
-    return ti.min(a, b) - h * h * blend_mm * 0.25
-
-
-@ti.func
-def smooth_cut(a: f32, b: f32, blend_mm: f32) -> f32:
-    """Return a with b taken away, with a fillet."""
-    return -smooth_union(-a, b, blend_mm)
 
 
 @ti.func
@@ -82,10 +62,10 @@ def bust(p: vec3) -> f32:
 
 
 @ti.func
-def around_bust(p: vec3) -> f32:
+def around_person(p: vec3) -> f32:
     """Distance to a sphere that holds the head, and to a corner that holds neck and shoulders."""
-    sphere = (p - vec3(0.0, -25.0, 845.0)).norm() - 122.0
-    return ti.min(sphere, ti.max(764.0 - p.z, 85.0 - p.y))
+    sphere = (p - vec3(0.0, -25.0, 845.0)).norm() - 126.0
+    return ti.min(sphere, ti.max(764.0 - p.z, 70.0 - p.y))
 
 
 @ti.func
@@ -119,9 +99,9 @@ def scene_distance(scene: str) -> Any:
         @ti.func
         def distance_to(p: vec3, pose: vec4) -> f32:
             q = at_rest(p, pose)
-            distance = around_bust(q)
+            distance = around_person(q)
             if distance < _AROUND_MM:
-                distance = bust(q)
+                distance = person(q)
             return ti.min(distance, wall(p, 985.0))
 
     elif scene == "plane":

@@ -178,7 +178,7 @@ def draw_apart(
     job: PictureJob,
     folder: Path,
     timeout_s: float,
-    tell: Callable[[dict[str, Any]], None] = lambda _: None,
+    notify: Callable[[dict[str, Any]], None] = lambda _: None,
     *,
     remark: Callable[[str], None] = lambda line: None,
     threads: int | None = None,
@@ -193,7 +193,7 @@ def draw_apart(
         Where the child runs; nothing else does.
     timeout_s : float
         Time without a line from it after which it is given up, s.
-    tell : callable
+    notify : callable
         Is given what it says.
     remark : callable
         Is given a line where the user should know something of the picture.
@@ -227,7 +227,7 @@ def draw_apart(
             return
         if isinstance(what, dict):
             said.update(what)
-            tell(what)
+            notify(what)
 
     # A graphics card or its stand-in first; OSMesa is only found by name where it is alone.
     for window in ({}, {"VTK_DEFAULT_OPENGL_WINDOW": "vtkOSOpenGLRenderWindow"}):
@@ -244,7 +244,7 @@ def draw_apart(
 
 
 def _listen(
-    command: list[str], folder: Path, environment: dict[str, str], timeout_s: float, tell: Callable[[str], None]
+    command: list[str], folder: Path, environment: dict[str, str], timeout_s: float, notify: Callable[[str], None]
 ) -> tuple[int, str]:
     """Run a child to its end, and return its exit code and what it wrote to standard error."""
     with tempfile.TemporaryFile() as errors:
@@ -264,7 +264,7 @@ def _listen(
             reader.start()
             try:
                 while line := lines.get(timeout=timeout_s):
-                    tell(line.decode(errors="replace").strip())
+                    notify(line.decode(errors="replace").strip())
                 code = child.wait(timeout_s)
             except (queue.Empty, subprocess.TimeoutExpired) as error:
                 raise RenderError(f"drawing took more than {timeout_s:g} s: {_GRAPHICS_CURE}") from error

@@ -127,13 +127,14 @@ def test_the_nearest_surface_hides_those_behind_it():
     """A small square that is tilted stands before a large one that is not, whichever was listed first."""
     y, x = (part.ravel().astype(np.float32) for part in np.mgrid[:40, :40])
     inside = (abs(x - 20) < 10) & (abs(y - 20) < 10)
-    front = np.column_stack([x, y, 500 - 2 * x])[inside]
-    wall = np.column_stack([x, y, np.full_like(x, 900)])
+    front = np.column_stack([x, y, 500 - 2 * x])[inside], (-0.9, 0.0, -0.44)
+    wall = np.column_stack([x, y, np.full_like(x, 900)]), (0.0, 0.0, -1.0)
     corner = np.array([[0, 1, 2]], np.int32)
-    pictures = [
-        Shown(Mesh(np.concatenate(parts).astype(np.float32), corner)._repr_html_()).picture
-        for parts in ((front, wall), (wall, front))
-    ]
+    pictures = []
+    for parts in ((front, wall), (wall, front)):
+        vertices = np.concatenate([points for points, _ in parts]).astype(np.float32)
+        normals = np.concatenate([np.tile(normal, (len(points), 1)) for points, normal in parts]).astype(np.float32)
+        pictures.append(Shown(Mesh(vertices, corner, normals=normals)._repr_html_()).picture)
     np.testing.assert_array_equal(*pictures)
     height, width, _ = pictures[0].shape
     middle, rim = pictures[0][height // 2, width // 2], pictures[0][height // 2, width // 10]

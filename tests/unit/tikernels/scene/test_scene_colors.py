@@ -34,20 +34,22 @@ def test_colour_without_texture_is_even(arch):
 @pytest.mark.parametrize(
     ("place", "expected"),
     [
-        ((0.0, 60.0, 780.0), SKIN),
-        ((12.0, 40.0, 780.0), (0.60, 0.30, 0.30)),  # the upper lip, below the bust's middle by 5 mm
-        ((0.0, -120.0, 820.0), (0.15, 0.11, 0.08)),  # hair
-        ((29.0, -47.0, 790.0), (0.15, 0.11, 0.08)),  # a brow
-        ((-100.0, 150.0, 860.0), (0.25, 0.35, 0.50)),  # the shirt
-        ((20.0, -26.0, 790.0), (0.70, 0.66, 0.64)),  # the white of an eye
+        ((0.0, 65.0, 780.0), SKIN),
+        ((10.0, 42.0, 780.0), (0.66, 0.38, 0.34)),  # the lower lip
+        ((0.0, -120.0, 820.0), (0.50, 0.36, 0.26)),  # hair
+        ((-80.0, -10.0, 855.0), SKIN),  # an ear
+        ((-100.0, 165.0, 860.0), (0.56, 0.57, 0.60)),  # the shirt
+        ((22.5, -26.0, 790.0), (0.72, 0.68, 0.66)),  # the white of an eye
+        ((31.0, -26.0, 790.0), (0.18, 0.19, 0.20)),  # its pupil
+        ((-150.0, -100.0, 980.0), (0.45, 0.47, 0.46)),  # the wall
     ],
 )
 def test_the_portrait_is_a_person(arch, place, expected):
-    """To 0.02: skin varies smoothly, and nothing of the flush reaches the chin."""
-    np.testing.assert_allclose(colors("portrait", [place], 0.0)[0], expected, atol=0.02)
+    """To 0.03: skin varies smoothly."""
+    np.testing.assert_allclose(colors("portrait", [place], 0.0)[0], expected, atol=0.03)
 
 
 def test_skin_is_flushed_on_cheeks_and_nose(arch):
     chin, *flushed = colors("portrait", [(0.0, 60.0, 780.0), (40.0, 5.0, 790.0), (0.0, 7.0, 760.0)], 0.0)
     for color in flushed:
-        assert color[0] / color[1] > 1.1 * chin[0] / chin[1]
+        assert color[0] / color[1] > 1.05 * chin[0] / chin[1]

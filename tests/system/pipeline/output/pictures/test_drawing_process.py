@@ -48,7 +48,7 @@ def test_what_a_child_says_is_heard_and_libraries_are_not(tmp_path, monkeypatch)
     )
     heard = []
     monkeypatch.delenv("LP_NUM_THREADS", raising=False)
-    assert run(monkeypatch, tmp_path, program, tell=heard.append, threads=1) == "0 threads"
+    assert run(monkeypatch, tmp_path, program, notify=heard.append, threads=1) == "0 threads"
     assert heard == [{"part": 3}, {"renderer": "0 threads"}]
 
 
