@@ -182,7 +182,7 @@ class _Seen:
         """What figures over several frames are."""
         return "" if len(self.frames) == 1 else "The median of the frames, with the least and the largest value."
 
-    def over(self, name: str, words: str, scale: float = 1.0) -> str:
+    def over(self, name: str, words: str, unit: str = "", scale: float = 1.0) -> str:
         """Return a figure over the frames, in words."""
         if name not in self.figures:
             return f"not known: {name} is not stored"
@@ -191,13 +191,13 @@ class _Seen:
         if not values.size:
             return "not known"
         low, middle, high = (words.format(value) for value in (values.min(), np.median(values), values.max()))
-        return middle if low == high else f"{middle} ({low} to {high})"
+        return (middle if low == high else f"{middle} ({low} to {high})") + unit
 
     def in_depth(self, name: str) -> str:
         """Return a figure of phases over the frames, in words: in mm if that is known."""
         if self.per_rad is not None:
-            return self.over(name, "{:.4f} mm", self.per_rad)
-        known = self.over(name, "{:.4f} rad")
+            return self.over(name, "{:.4f}", " mm", self.per_rad)
+        known = self.over(name, "{:.4f}", " rad")
         return f"{known}; give --calibration for mm" if self.result.in_mm and name in self.figures else known
 
     def summary(self) -> Section:
@@ -206,7 +206,7 @@ class _Seen:
         depth = _depth(self.shown)
         known = depth[np.isfinite(depth)]
         low, high = np.percentile(known, (1, 99)) if known.size else (np.nan, np.nan)
-        span = f"{low:.5g} to {high:.5g} {self.unit}" if known.size else "nothing is measured"
+        span = f"{low:.2f} to {high:.2f} {self.unit}" if known.size else "nothing is measured"
         rows = [
             ("frames", _of(len(self.frames), len(result))),
             ("taken", _times(self.frames[0], self.frames[-1])),
@@ -250,7 +250,7 @@ class _Seen:
         if given.plane:
             by.append("a plane")
             figures.append(form("flatness measurement error", flats))
-            predicted = f" Of the noise of a point {_middle([flat.sigma_mm for flat in flats]):.3f} mm were predicted."
+            predicted = f" The predicted noise of a point is {_middle([flat.sigma_mm for flat in flats]):.3f} mm."
         rows = [(each.name, *_mm(each.largest_mm, each.trueness_mm, each.precision_mm)) for each in figures]
         rows.append(("noise of a point", "", "", *_mm(form("", [*flats, *balls]).precision_mm)))
         note = (
@@ -267,9 +267,11 @@ class _Seen:
             sigmas = self.calibration.uncertainty
             bias_mm = None if sigmas is None else sigmas.depth_bias_mm
             known = "not known: the calibration does not state it" if bias_mm is None else f"{bias_mm:.3f} mm"
-        cycle = "a cycle" if self.per_rad is None else f"a cycle, {2 * np.pi * self.per_rad:.4g} mm,"
-        order = f"off by {cycle} with probability {self.over('order_error_probability', '{:.2%}')}"
-        noise = self.over("point_sigma", "{:.4f} mm") if "point_sigma" in self.figures else self.in_depth("phase_sigma")
+        cycle = "a cycle" if self.per_rad is None else f"a cycle, {2 * np.pi * self.per_rad:.4g} mm"
+        order = f"{cycle}; probability {self.over('order_error_probability', '{:.2%}')}"
+        noise = (
+            self.over("point_sigma", "{:.4f}", " mm") if "point_sigma" in self.figures else self.in_depth("phase_sigma")
+        )
         rows = [
             ("noise", noise, "each point by itself"),
             ("constant of all phases", self.in_depth("constant_sigma"), "a frame as a whole"),
@@ -295,8 +297,10 @@ class _Seen:
         about = self.result.attributes
         values = {name: value for name, value in about["settings"].items() if value is not None}
         texts = [(name, value if isinstance(value, str) else json.dumps(value)) for name, value in values.items()]
-        rows = [] if "footage" not in about else [("footage", json.dumps(about["footage"]))]
-        rows += [
+        footage = about.get("footage", {})
+        rows = [
+            ("footage", str(footage.get("name", "a picture"))),
+            ("its first frame, SHA-256", str(footage.get("first_frame_sha256", "not recorded"))),
             ("decoded by", f"colorphase {about['colorphase_version']}"),
             ("reported by", _PROGRAM),
             ("calibration, SHA-256", about["calibration_sha256"] or "none"),
