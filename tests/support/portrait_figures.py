@@ -23,6 +23,7 @@ class PortraitFigures(NamedTuple):
     coverage: float  # share of the lit head that has a depth
     coverage_inside: float  # the same, silhouettes left out
     right_orders: float  # share of those with a depth whose fringe order is right
+    wrong_and_sure: float  # share of those with a depth whose order is wrong but said to be absolute
     rms_mm: float  # of all with a depth
     rms_inside_mm: float  # silhouettes left out
     bias_inside_mm: float
@@ -46,6 +47,7 @@ def portrait_figures(frame: DecodedFrame, truth: SimulatedFrame) -> PortraitFigu
         coverage=float(measured.sum() / head.sum()),
         coverage_inside=float(inside.sum() / (head & ~rims).sum()),
         right_orders=float((right & measured).sum() / measured.sum()),
+        wrong_and_sure=float((~right & frame.absolute & measured).sum() / measured.sum()),
         rms_mm=_rms(error[measured]),
         rms_inside_mm=_rms(error[inside]),
         bias_inside_mm=float(error[inside].mean()),
