@@ -96,7 +96,7 @@ def html_block(
     image = ""
     if picture is not None:
         data = base64.b64encode(picture).decode("ascii")
-        image = f'<img alt="{escape(heading)}" src="data:image/png;base64,{data}">'
+        image = f'<img alt="{escape(heading)}" style="max-width:100%" src="data:image/png;base64,{data}">'
     return (
         f'<div style="{_BLOCK}">{image}<div><b>{escape(heading)}</b><table>{rows}</table>'
         + (f"<b>Warnings</b><ul>{doubts}</ul>" if doubts else "")

@@ -60,7 +60,7 @@ def _frame_html(frame: DecodedFrame) -> str:
     }
     if frame.point_sigma is not None:
         figures["point sigma, median"] = _median(frame.point_sigma[mask], "mm")
-    return html_block("Decoded frame", figures, frame.warnings, _thumbnail(frame))
+    return html_block("Decoded frame", figures, frame.warnings, encode_png(shade_frame(frame)))
 
 
 @to_html.register
@@ -85,7 +85,7 @@ def _result_html(result: StoredResult) -> str:
                 depth, mask = frame.range_image if points is None else points[..., 2], frame.mask
                 spans = _range_figures(depth, mask, unit)
                 figures |= {f"frame {frame.number}, {name}": text for name, text in spans.items()}
-                picture = _thumbnail(frame)
+                picture = encode_png(shade_frame(frame))
         except FootageError as error:
             warnings.append(str(error))
     return html_block("Stored result", figures, warnings, picture)
@@ -212,10 +212,6 @@ def _share(flags: Pixels) -> str:
 def _median(values: Floats, unit: str) -> str:
     known = values[np.isfinite(values)]
     return f"{np.median(known):.3g} {unit}" if known.size else "unknown"
-
-
-def _thumbnail(frame: FrameFields) -> bytes:
-    return encode_png(shade_frame(frame, math.ceil(frame.mask.shape[1] / _WIDTH_PX)))
 
 
 def _mesh_picture(mesh: Mesh) -> bytes | None:

@@ -109,14 +109,13 @@ def shade_range(
     return shaded
 
 
-def shade_frame(frame: FrameFields, every: int = 1) -> npt.NDArray[np.uint8]:
-    """Shade a frame, decoded or stored, as `shade_range` does; of its pixels every so many-th, in rows and columns."""
-    some = np.s_[::every, ::every]
+def shade_frame(frame: FrameFields) -> npt.NDArray[np.uint8]:
+    """Shade a frame, decoded or stored, as `shade_range` does."""
     points = frame.points if "points" in frame.fields else None
     values = frame.range_image if points is None else points[..., 2]
     name = "point_sigma" if frame.calibrated else "phase_sigma"
-    sigma = getattr(frame, name)[some] if name in frame.fields else None
-    return shade_range(values[some], frame.mask[some], None if points is None else points[some], sigma)
+    sigma = getattr(frame, name) if name in frame.fields else None
+    return shade_range(values, frame.mask, points, sigma)
 
 
 def shade_normals(normals: Floats, unit: Unit) -> npt.NDArray[np.uint8]:

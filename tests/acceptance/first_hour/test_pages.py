@@ -42,7 +42,6 @@ TEST_COMMAND = (
 #: What is not run, and why.
 NOT_RUN = {
     TEST_COMMAND: "these tests themselves; .ci/run runs it",
-    "python tests/benchmarks/ranks.py": "a benchmark; tests/unit/test_docs.py holds its figure",
     "pip install 'colorphase[project]'": "from a package index; the extra is in the tests' environment",
     "colorphase project pattern.png --display 1": "needs a second screen; tests of `colorphase project` have one",
     "colorphase projector on --rig rig.toml": "needs a projector; its tests emulate one",
