@@ -99,7 +99,7 @@ class PictureOptions(Model):
 
     @property
     def moves(self) -> bool:
-        """Whether the eye does."""
+        """True if the eye moves."""
         return self.path is not None or self.turn_deg != 0 or self.sway_deg != 0
 
 
@@ -112,7 +112,7 @@ class FilmPart(Model):
 
     @property
     def record_file(self) -> Path:
-        """Where the record of what was drawn is."""
+        """Path of the record of what was drawn."""
         return Path(self.path).with_suffix(".json")
 
     def record(self) -> "PartRecord":
