@@ -10,7 +10,6 @@ from pipeline.cli.console import Replace, above_zero, check_target, read_calibra
 from pipeline.errors import SettingsError
 from pipeline.files import write_atomically
 from pipeline.output.folder import store_in
-from pipeline.view.report import Artefacts, report_calibration, report_result
 
 
 def report(
@@ -44,6 +43,8 @@ def report(
     spacing_mm
         It shows two such balls, whose centres are this far apart.
     """
+    from pipeline.view.report import Artefacts, report_calibration, report_result
+
     if spacing_mm is not None and ball_mm is None:
         raise SettingsError("--spacing-mm is of two balls: add --ball-mm, their diameter")
     check_target(out, force=force)

@@ -150,7 +150,7 @@ def test_a_long_result_of_large_frames_stays_small(rig, cpu, tmp_path):
         tmp_path / "film.zarr", tmp_path / "out", calibration=large, arch="cpu", workers=1, fields=fields
     )
     report = report_result(str(tmp_path / "out" / "result.zarr"))
-    assert 5e6 < len(report) < 25e6
+    assert 1e6 < len(report) < 25e6
     assert "All 3 frames, one of 3 x 3 pixels" in report
 
 
