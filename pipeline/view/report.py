@@ -171,7 +171,7 @@ class _Seen:
 
     @cached_property
     def per_rad(self) -> float | None:
-        """How far points move with a rad, mm, by the frames or else by the rig; None: unknown."""
+        """Depth per phase, mm per rad, from the frames or else from the rig; None: unknown."""
         per_rad, depth_mm = (_middle(self.figures[name]) for name in ("mm_per_rad", "depth"))
         if np.isfinite(per_rad):
             return per_rad
@@ -179,7 +179,7 @@ class _Seen:
 
     @property
     def note(self) -> str:
-        """What figures over several frames are."""
+        """Explanation of figures over several frames."""
         return "" if len(self.frames) == 1 else "The median of the frames, with the least and the largest value."
 
     def over(self, name: str, words: str, unit: str = "", scale: float = 1.0) -> str:
