@@ -27,6 +27,9 @@ def open_own_trigger(settings):
 class OwnProjector:
     identity = None
     def __init__(self, settings): pass
-    def power(self, on, notify): return True def input(self, source): pass def blank(self, on): pass def status(self):
-    raise RuntimeError def close(self): pass
+    def power(self, on, notify): return True
+    def input(self, source): pass
+    def blank(self, on): pass
+    def status(self): raise RuntimeError
+    def close(self): pass
 """
