@@ -97,11 +97,11 @@ class LiveSubject(Subject):
         parts = [f"{1000 * frame.latency_s:.0f} ms from exposure to surface"]
         more: dict[str, Any] = {"exposed_at_s": frame.exposed_at_s}
         if image is not None and watched is not None:
-            picture = _seen(image, watched.format)
-            arrays["picture"] = as_bytes(picture, linear=True)
-            small = picture[::_EVERY, ::_EVERY]
+            levels, white = _rgb_levels(image, watched.format), watched.format.white_level * 2**watched.format.shift
+            arrays["picture"] = as_bytes(levels, linear=True, white=white)
+            small = levels[::_EVERY, ::_EVERY] * np.float32(1 / white)
             more["histogram"] = [np.histogram(small[..., i], _BARS, (0, 1))[0].tolist() for i in range(3)]
-            parts.append(_in_words(small, picture[:, ::_EVERY]))
+            parts.append(_in_words(small, levels[:, ::_EVERY] * np.float32(1 / white)))
         if temperature_c is not None:
             parts.append(f"camera {temperature_c:.1f} °C")
         if self._n_rejected:
@@ -110,18 +110,17 @@ class LiveSubject(Subject):
         return ViewedFrame(arrays, frame.number, warnings=frame.warnings, more=more)
 
 
-def _seen(image: ImageArray, format: PixelFormat) -> npt.NDArray[np.float32]:
-    """Return a camera's frame as RGB, (H, W, 3), 1 at full scale; the four pixels of a mosaic's cell share a colour."""
-    shares = image.astype(np.float32) * np.float32(1 / (format.white_level * 2**format.shift))
+def _rgb_levels(image: ImageArray, format: PixelFormat) -> ImageArray:
+    """Return a camera's frame as RGB, (H, W, 3), in its levels; the four pixels of a mosaic's cell share a colour."""
     if format.layout == "rgb":
-        return shares[..., [format.channels.index(color) for color in "rgb"]]
-    height, width = shares.shape
-    whole = shares[: height // 2 * 2, : width // 2 * 2]
-    found = np.empty((height, width, 3), np.float32)
+        order = [format.channels.index(color) for color in "rgb"]
+        return image if order == [0, 1, 2] == [*range(image.shape[2])] else image[..., order]
+    height, width = image.shape
+    cells = image[: height // 2 * 2, : width // 2 * 2]
+    found = np.empty((height, width, 3), image.dtype)
     for channel, color in enumerate("rgb"):
-        places = [divmod(place, 2) for place, there in enumerate(format.bayer) if there == color]
-        plane = np.mean([whole[row::2, column::2] for row, column in places], axis=0)
-        large = plane.repeat(2, axis=0).repeat(2, axis=1)
+        row, column = divmod(format.bayer.index(color), 2)  # of two greens the first
+        large = cells[row::2, column::2].repeat(2, axis=0).repeat(2, axis=1)
         found[..., channel] = np.pad(large, ((0, height % 2), (0, width % 2)), "edge")
     return found
 

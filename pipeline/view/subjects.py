@@ -225,13 +225,24 @@ def is_store(path: str) -> bool:
     return "://" in path or Path(path, DONE).is_dir()
 
 
-def as_bytes(levels: ImageArray, *, linear: bool) -> npt.NDArray[np.uint8]:
-    """Return a picture in 8 bits for the screen; linear light is encoded by a power of 1/2.2, close to sRGB."""
+def as_bytes(levels: ImageArray, *, linear: bool, white: float | None = None) -> npt.NDArray[np.uint8]:
+    """Return a picture in 8 bits for the screen; linear light is encoded by a power of 1/2.2, close to sRGB.
+
+    Parameters
+    ----------
+    levels : (H, W, 3)
+        Of a camera, up to `white`.
+    linear : bool
+        True for levels that are proportional to light.
+    white : float, optional
+        Full scale; None: that of the type.
+    """
+    white = WHITE_LEVELS[levels.dtype.name] if white is None else white
     if levels.dtype == np.float32:
-        return _shown(levels, linear=linear)
+        return _shown(levels / np.float32(white), linear=linear)
     # A table is faster than a power for each value.
-    white = WHITE_LEVELS[levels.dtype.name]
-    return np.asarray(_shown(np.arange(white + 1) / white, linear=linear)[levels])
+    table = _shown(np.arange(2 ** (8 * levels.dtype.itemsize)) / white, linear=linear)
+    return np.asarray(table[levels])
 
 
 def _shown(shares: npt.NDArray[Any], *, linear: bool) -> npt.NDArray[np.uint8]:

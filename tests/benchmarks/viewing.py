@@ -2,22 +2,26 @@
 
     python tests/benchmarks/viewing.py [--frames 10000] [--seconds 20] [--browser]
 
-The result has small frames (160x120) and is made by copying one frame's chunks. Live frames are a simulated rig's, 20 a
-second; with --browser headless Chromium draws them on the same cores, and surfaces a second are counted.
+The result has small frames (160x120). Live frames, 640x480 and coded, are rendered before, recorded and offered 20
+times a second, and requested by another process; with --browser headless Chromium draws them on the same cores.
 """
 
 import argparse
 import json
+import multiprocessing
 import re
 import shutil
 import signal
 import statistics
 import subprocess
 import tempfile
+import threading
 import time
 import urllib.request
 from contextlib import ExitStack, contextmanager
+from multiprocessing.connection import Connection
 from pathlib import Path
+from types import SimpleNamespace
 
 import _tests_path  # noqa: F401 (makes `support` importable)
 import numpy as np
@@ -25,17 +29,12 @@ from support.browser import browsing
 from support.command_line import command
 
 import colorphase
+from pipeline.acquisition.live import WatchedFrame
+from pipeline.view.live_subject import LiveSubject
+from pipeline.view.server import ViewServer
 
-RIG = """
-[trigger]
-driver = "simulated"
-[timing]
-period_s = 0.05
-frames = 1
-[camera]
-driver = "simulated"
-exposure_s = 0.008
-"""
+#: Frames a second that are recorded and offered.
+RATE_HZ = 20
 
 
 def long_result(folder: Path, n_frames: int) -> Path:
@@ -95,34 +94,68 @@ def scrub(folder: Path, n_frames: int, browser: bool) -> None:
 
 
 def live(folder: Path, seconds: float, browser: bool) -> None:
-    """Print the time from exposure to message, next to a capture, and what the capture lost."""
-    (folder / "rig.toml").write_text(RIG, encoding="utf-8")
-    words = ("capture", "--rig", "rig.toml", "--out", "live", "--endless", "--view", "--arch", "cpu")
-    with viewed(*words, cwd=folder) as (address, process), ExitStack() as stack:
-        tab = None
+    """Print the time from exposure to message, next to a recording of the same frames, and how far that fell behind."""
+    size_px, format = (640, 480), colorphase.PixelFormat("rgb")
+    rig = colorphase.simulated_rig(size_px, code="contrast")
+    images = [
+        np.asarray(colorphase.simulate_frame(rig, colorphase.SimulationSettings(seed=seed)).image) for seed in range(4)
+    ]
+    subject, worst = LiveSubject("benchmark"), 0.0
+    with ExitStack() as stack:
+        decoder = stack.enter_context(colorphase.LiveDecoder(size_px, calibration=rig, format=format, arch="cpu"))
+        server = stack.enter_context(ViewServer(subject))
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        stack.callback(server.shutdown)
+        watched = WatchedFrame(decoder, format)
+        subject.hear(watched, 0)
+        decoder.wait(120.0)
+        pipe, theirs = multiprocessing.get_context("spawn").Pipe()
+        viewer = multiprocessing.get_context("spawn").Process(
+            target=watch, args=(server.address, seconds, browser, theirs), daemon=True
+        )
+        viewer.start()
+        recorder = stack.enter_context(colorphase.Recorder(folder / "live.zarr", format, rate_hz=RATE_HZ))
+        begin, number = time.monotonic(), 0
+        while not pipe.poll():
+            due = begin + number / RATE_HZ
+            time.sleep(max(0.0, due - time.monotonic()))
+            worst = max(worst, time.monotonic() - due)
+            image = images[number % len(images)]
+            frame = SimpleNamespace(temperature_c=None)
+            watched = watched.offered(SimpleNamespace(image=image, frame=frame, exposed_at_s=due), number)
+            subject.hear(watched, 0)
+            recorder.add(image)
+            number += 1
+        took, drawn = pipe.recv()
+    middle_ms = 1e3 * statistics.median(took)
+    print(f"live: decoded after {1e3 * (decoder.latency_s or 0):.0f} ms, ", end="")
+    print(f"{middle_ms:.0f} ms at the median from exposure to message, {len(took) / seconds:.1f} frames/s sent")
+    if browser:
+        print(f"{drawn / seconds:.1f} surfaces/s drawn")
+    print(f"{number} frames recorded at {RATE_HZ}/s, at most {1e3 * worst:.0f} ms late")
+
+
+def watch(address: str, seconds: float, browser: bool, pipe: Connection) -> None:
+    """Take live frames for some seconds; say how old each was when it came, and how many surfaces were drawn."""
+    with ExitStack() as stack:
+        while not urllib.request.urlopen(f"{address}live?after=-1&fields=mask&step=2").read():
+            pass
+        tab, before = None, 0
         if browser:
             tab = stack.enter_context(browsing())
             tab.goto(address)
             tab.wait_for_selector("body[data-shown]")
-            drawn = tab.evaluate("viewer.surface.drawn")
+            before = tab.evaluate("viewer.surface.drawn")
         after, took, until = -1, [], time.monotonic() + seconds
-        urllib.request.urlopen(address + "about").read()
         while time.monotonic() < until:
+            if tab is not None:  # the page takes the frames itself
+                tab.wait_for_timeout(200)
             message = urllib.request.urlopen(f"{address}live?after={after}&fields=points,sigma,picture&step=2").read()
-            if not message:
-                continue
-            head = json.loads(message[4 : 4 + int.from_bytes(message[:4], "little")])
-            after = head["number"]
-            took.append(time.monotonic() - head["exposed_at_s"])
-        print(
-            f"live: {1e3 * statistics.median(took):.0f} ms at the median from exposure to message, {len(took)} frames"
-        )
-        if tab is not None:
-            print(f"{(tab.evaluate('viewer.surface.drawn') - drawn) / seconds:.1f} surfaces/s drawn")
-        print(f"capture: {memory_mb(process):.0f} MB at most")
-    log = [json.loads(line) for line in (folder / "live" / "log.jsonl").read_text().splitlines()]
-    print(f"{sum(event['event'] == 'frame' for event in log)} frames recorded, ", end="")
-    print(f"{sum(event['event'] == 'rejected' for event in log)} bursts thrown away")
+            if message:
+                head = json.loads(message[4 : 4 + int.from_bytes(message[:4], "little")])
+                after = head["number"]
+                took.append(time.monotonic() - head["exposed_at_s"])
+        pipe.send((took, 0 if tab is None else tab.evaluate("viewer.surface.drawn") - before))
 
 
 if __name__ == "__main__":
