@@ -15,10 +15,10 @@ from pipeline.cli.console import Arch, PageOptions, SettingsFile, read_calibrati
 from pipeline.errors import SettingsError
 from pipeline.footage.footage import StoredAs
 from pipeline.footage.opening import open_footage
-from pipeline.output.folder import store_in
+from pipeline.output.folder import is_store, store_in
 from pipeline.output.mesh_files import read_mesh
 from pipeline.view.server import ViewServer
-from pipeline.view.subjects import FootageSubject, MeshSubject, ResultSubject, Subject, is_store
+from pipeline.view.subjects import FootageSubject, MeshSubject, ResultSubject, Subject
 
 if TYPE_CHECKING:
     from pipeline.acquisition.live import WatchedFrame
@@ -128,7 +128,7 @@ def _has_screen() -> bool:
 def _subject(input: str, calibration: Path | None, settings: Path | None, arch: str, stored_as: StoredAs) -> Subject:
     store = store_in(input)
     mesh = Path(input).suffix.lower() in _MESHES
-    result = mesh or is_store(store)
+    result = mesh or "://" in store or is_store(Path(store))
     if result and (calibration is not None or settings is not None or stored_as != _AS_IT_SAYS):
         what = "a mesh" if mesh else "decoded already"
         raise SettingsError(f"{input} is {what}: leave out --calibration, --settings and what pixels are stored as")

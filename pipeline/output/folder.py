@@ -63,7 +63,7 @@ def output_folder(path: str | Path, *, force: bool = False) -> Iterator[Path]:
         if path.is_dir():
             if not force:
                 _refuse_foreign(path)
-            if _is_store(path / STORE) and holds_footage(path / STORE):
+            if is_store(path / STORE) and holds_footage(path / STORE):
                 raise OutputError(f"{path} holds the frames of footage: choose another folder")
         elif path.exists():
             raise OutputError(f"{path} is a file: choose a folder")
@@ -117,7 +117,7 @@ def _refuse_foreign(path: Path) -> None:
     reported = _reported(path)
     for entry in sorted(path.iterdir()):
         if entry.name == STORE and entry.is_dir():
-            is_ours = _is_store(entry)
+            is_ours = is_store(entry)
         elif entry.name == _REPORT:
             is_ours = bool(reported)
         else:
@@ -182,7 +182,8 @@ def is_as_marked(file: Path, *marks: str | None) -> bool | None:
         return None
 
 
-def _is_store(folder: Path) -> bool:
+def is_store(folder: Path) -> bool:
+    """Return whether a folder is a ``result.zarr``, damaged or not, rather than a recording or something else."""
     try:
         return is_there(folder)
     except DamageError:

@@ -49,7 +49,7 @@ def frame_report(frame: DecodedFrame, source: str) -> dict[str, Any]:
 
 
 def depth_in_words(frame: FrameFields, *, front_known: bool) -> str | None:
-    """Say between what a frame's depth is only relative, and what would tell; None: every order is absolute.
+    """Say between what a frame's depth is only relative, and what would determine it; None: every order is absolute.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def depth_in_words(frame: FrameFields, *, front_known: bool) -> str | None:
 
 
 def mm_per_rad(frame: FrameFields, where: npt.NDArray[np.bool_]) -> float | None:
-    """Return how far a point moves along its ray with a rad of phase, the median; None: the frame does not tell.
+    """Return how far a point moves along its ray with a rad of phase, the median; None: unknown.
 
     Parameters
     ----------

@@ -311,7 +311,7 @@ class _Seen:
 
 
 def _figures(frame: ResultFrame) -> dict[str, float]:
-    """Return a frame's figures, as far as its fields tell them; NaN: unknown."""
+    """Return a frame's figures, as far as its fields allow; NaN: unknown."""
     depth, stored = _depth(frame), frame.fields.keys()
     mask = frame.mask if "mask" in stored else np.isfinite(depth)
     per_rad = mm_per_rad(frame, mask)

@@ -220,11 +220,6 @@ class MeshSubject(Subject):
         return self._frame
 
 
-def is_store(path: str) -> bool:
-    """Return whether a path is a ``result.zarr`` rather than a recording; a URL always is."""
-    return "://" in path or Path(path, DONE).is_dir()
-
-
 def as_bytes(levels: ImageArray, *, linear: bool, white: float | None = None) -> npt.NDArray[np.uint8]:
     """Return a picture in 8 bits for the screen; linear light is encoded by a power of 1/2.2, close to sRGB.
 
