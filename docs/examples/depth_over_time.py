@@ -1,46 +1,41 @@
-"""A folder of pictures becomes depth over time, with labels, and a figure of it.
+"""
+Depth over time
+===============
 
-python docs/examples/depth_over_time.py
-
-It needs the extra `xarray`. The pictures are simulated: a sheet that moves away by 2 mm from one to the next. With your
-own, leave `take_pictures` out and read the calibration from calibration.json.
+A folder of pictures becomes a dataset of depth with the time of each frame, and a curve. It needs the extra ``xarray``.
 """
 
 from pathlib import Path
 
 import cv2
-import matplotlib.figure
 import numpy as np
 import xarray
+from matplotlib.figure import Figure
 
 import colorphase
 
+# %%
+# The pictures show a sheet that moves away by 2 mm from frame to frame. Omit this step with pictures of yours.
 
-def take_pictures(folder: Path) -> colorphase.Calibration:
-    """Write six pictures into a folder, and return the calibration of the rig that took them."""
-    folder.mkdir(exist_ok=True)
-    rig = colorphase.simulated_rig((320, 240), period_px=35, code="contrast")
-    for k in range(6):
-        simulation = colorphase.SimulationSettings(scene="plane", object_motion_mm=(0.0, 0.0, 2.0 * k), seed=k)
-        image = np.asarray(colorphase.simulate_frame(rig, simulation).image, np.uint8)
-        cv2.imwrite(str(folder / f"{k:03d}.png"), image[..., ::-1])  # OpenCV writes blue first
-    return rig
+folder = Path("pictures")
+folder.mkdir(exist_ok=True)
+rig = colorphase.simulated_rig((320, 240), period_px=35, code="contrast")
+for k in range(6):
+    simulation = colorphase.SimulationSettings(scene="plane", object_motion_mm=(0.0, 0.0, 2.0 * k), seed=k)
+    image = np.asarray(colorphase.simulate_frame(rig, simulation).image, np.uint8)
+    cv2.imwrite(str(folder / f"{k:03d}.png"), image[..., ::-1])  # OpenCV writes blue first
 
+# %%
+# Frames are decoded in order, each with the one before it, and joined by their number.
 
-def main() -> None:
-    """Decode the folder frame by frame, keep the depth of each, and draw its median over time."""
-    calibration = take_pictures(Path("pictures"))
-    decoder = colorphase.Decoder(colorphase.DecodeSettings(transfer="linear"), calibration, arch="cpu")
-    with colorphase.open_footage("pictures") as footage:
-        frames = [frame.to_xarray()[["range_image", "mask"]] for frame in decoder.decode_all(footage)]
-    film = xarray.concat(frames, "frame")
-    depth = film.range_image.where(film.mask).median(("y", "x"))
-    figure = matplotlib.figure.Figure()
-    depth.plot(ax=figure.subplots(), marker="o")
-    figure.savefig("depth.png")
-    step = float(np.polyfit(film.frame, depth, 1)[0])
-    print(f"{film.sizes['frame']} frames: from {depth[0]:.1f} mm, {step:.2f} mm farther from frame to frame")
+decoder = colorphase.Decoder(colorphase.DecodeSettings(transfer="linear"), rig, arch="cpu")
+with colorphase.open_footage(folder) as footage:
+    frames = [frame.to_xarray()[["range_image", "mask"]] for frame in decoder.decode_all(footage)]
+film = xarray.concat(frames, "frame")
+depth = film.range_image.where(film.mask).median(("y", "x"))
+step = float(np.polyfit(film.frame, depth, 1)[0])
+print(f"{film.sizes['frame']} frames: from {depth[0]:.1f} mm, {step:.2f} mm farther from frame to frame")
 
-
-if __name__ == "__main__":
-    main()
+figure = Figure(layout="compressed")
+depth.plot(ax=figure.subplots(), marker="o")
+figure.savefig("depth.png")

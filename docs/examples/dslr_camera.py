@@ -1,6 +1,10 @@
-"""A camera driver of your own: a DSLR on a USB cable, through the program gphoto2 (http://www.gphoto.org).
+"""
+A camera driver of your own
+===========================
 
-In rig.toml
+A DSLR on a USB cable, through the program gphoto2 (http://www.gphoto.org).
+
+In rig.toml::
 
     [trigger]
     driver = "software"
@@ -12,7 +16,7 @@ In rig.toml
     trigger = "software"
 
 with this file's folder on PYTHONPATH. Set the camera to manual exposure and focus, fixed white balance, the finest JPEG
-and the neutral picture style. `python dslr_camera.py` takes one picture.
+and the neutral picture style. ``python dslr_camera.py`` takes one picture.
 """
 
 import subprocess

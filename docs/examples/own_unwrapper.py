@@ -1,8 +1,8 @@
-"""An unwrapper of your own in place of the decoder's: here scikit-image's.
+"""
+An unwrapper of your own
+========================
 
-python docs/examples/own_unwrapper.py
-
-It needs `pip install scikit-image`.
+The decoder accepts any object with a method ``unwrap``. This one calls scikit-image, which needs ``pip install scikit-image``.
 """
 
 import numpy as np
@@ -26,19 +26,19 @@ class ScikitImage:
         return np.ma.filled(unwrap_phase(masked, rng=0), np.nan), label(inside, connectivity=1)
 
 
-def main() -> None:
-    """Decode a simulated frame with both unwrappers and print where their orders differ."""
-    rig, scene = colorphase.simulated_rig(), colorphase.SimulationSettings(scene="waves")
-    image = colorphase.simulate_frame(rig, scene).image
-    settings = colorphase.DecodeSettings(crosstalk_matrix=scene.crosstalk_matrix)
-    own = colorphase.Decoder(settings, arch="cpu").decode(image)
-    theirs = colorphase.Decoder(settings, arch="cpu", unwrapper=ScikitImage()).decode(image)
-    both = own.mask & theirs.mask
-    cycles = np.rint((theirs.unwrapped_phase - own.unwrapped_phase)[both] / (2 * np.pi))
-    # Without a calibration the orders count from any cycle: the commonest difference is no difference.
-    constant = np.median(cycles)
-    print(f"{both.sum()} pixels in both, {np.count_nonzero(cycles != constant)} with different orders")
+# %%
+# Both decode the same frame.
 
+rig, scene = colorphase.simulated_rig(), colorphase.SimulationSettings(scene="waves")
+image = colorphase.simulate_frame(rig, scene).image
+settings = colorphase.DecodeSettings(crosstalk_matrix=scene.crosstalk_matrix)
+own = colorphase.Decoder(settings, arch="cpu").decode(image)
+theirs = colorphase.Decoder(settings, arch="cpu", unwrapper=ScikitImage()).decode(image)
+theirs.plot("unwrapped_phase").savefig("phase.png")
 
-if __name__ == "__main__":
-    main()
+# %%
+# Without a calibration the orders count from an arbitrary cycle: only differences from the median one count.
+
+both = own.mask & theirs.mask
+cycles = np.rint((theirs.unwrapped_phase - own.unwrapped_phase)[both] / (2 * np.pi))
+print(f"{both.sum()} pixels in both, {np.count_nonzero(cycles != np.median(cycles))} with different orders")

@@ -1,51 +1,55 @@
-"""The chain of Je, Lee and Park (2004), written with the public stages of `tikernels`.
+"""
+The chain of 2004, step by step
+===============================
 
-python docs/examples/paper_chain.py
-
-It measures a simulated bust from one colour frame, beside the truth. The decoder (`colorphase.Decoder`) goes further;
-docs/accuracy.md says what each of its steps buys.
+C. Je, S. W. Lee and R.-H. Park, *Color-phase analysis for sinusoidal structured light in rapid range imaging* (2004), as
+functions of ``tikernels``: arrays in, arrays out. ``Decoder`` goes further.
 """
 
 import numpy as np
-import numpy.typing as npt
+from matplotlib.figure import Figure
 
 import colorphase
 import tikernels
 from tikernels.phase import measure_frame
 
-# Pixels whose mean of the three channels is below this share of full scale are too dark to be relied on.
-MIN_INTENSITY = 0.05
+tikernels.init("cpu")
+scene = colorphase.SimulationSettings(scene="bust")
+truth = colorphase.simulate_frame(colorphase.simulated_rig(), scene)
 
+# %%
+# From the picture to linear light. Pixels with a mean below 5 % of full scale are too dark.
 
-def unwrap_frame(image: npt.NDArray[np.uint8], crosstalk_matrix: npt.ArrayLike) -> npt.NDArray[np.float32]:
-    """Return the unwrapped phase of a frame with horizontal stripes, (H, W) float32, rad; NaN where it is dark."""
-    period_px = measure_frame(image).period_px
-    if period_px is None:
-        raise ValueError("no fringe stands out of this frame")
-    light = (image / 255).astype(np.float32)
-    mask = light.mean(axis=2) > MIN_INTENSITY
-    light = tikernels.correct_crosstalk(light, crosstalk_matrix)  # section 2.2
-    balanced = tikernels.balance_color(light, period_px, mask)  # section 3.1
-    phase, modulation, _ = tikernels.compute_wrapped_phase(balanced)  # equation 3.3
-    phase = tikernels.equalize_phase(phase, mask, harmonics=int(period_px / 2))  # section 3.2
-    phase = tikernels.smooth_phase(phase, mask)  # the "simple mean filter" of section 5
-    unwrapped = tikernels.unwrap_phase(phase, modulation, mask)  # section 4.1
-    return tikernels.correct_fringe_order(unwrapped, np.isfinite(unwrapped))  # section 4.2
+period_px = measure_frame(truth.image).period_px
+light = (truth.image / 255).astype(np.float32)
+mask = light.mean(axis=2) > 0.05
 
+# %%
+# The sections and equations are those of the paper.
 
-def main() -> None:
-    """Simulate a frame, unwrap it and print how far the phase is from the truth."""
-    tikernels.init("cpu")
-    settings = colorphase.SimulationSettings(scene="bust")
-    truth = colorphase.simulate_frame(colorphase.simulated_rig(), settings)
-    unwrapped = unwrap_frame(truth.image, settings.crosstalk_matrix)
-    measured = np.isfinite(unwrapped) & truth.mask
-    error = np.exp(1j * (unwrapped - truth.phase)[measured])  # modulo a cycle
-    constant = np.angle(error.mean())
-    rms = np.sqrt((np.angle(error * np.exp(-1j * constant)) ** 2).mean())
-    print(f"{measured.sum() / truth.mask.sum():.1%} of the lit pixels, phase error {rms:.3f} rad RMS")
-    print(f"about a constant of {constant:+.3f} rad, {np.ptp(unwrapped[measured]) / (2 * np.pi):.0f} cycles in view")
+light = tikernels.correct_crosstalk(light, scene.crosstalk_matrix)  # section 2.2
+balanced = tikernels.balance_color(light, period_px, mask)  # section 3.1
+phase, modulation, _ = tikernels.compute_wrapped_phase(balanced)  # equation 3.3
+phase = tikernels.equalize_phase(phase, mask, harmonics=int(period_px / 2))  # section 3.2
+phase = tikernels.smooth_phase(phase, mask)  # the "simple mean filter" of section 5
+unwrapped = tikernels.unwrap_phase(phase, modulation, mask)  # section 4.1
+unwrapped = tikernels.correct_fringe_order(unwrapped, np.isfinite(unwrapped))  # section 4.2
 
+# %%
+# Its error, modulo a cycle and about a common constant.
 
-if __name__ == "__main__":
-    main()
+measured = np.isfinite(unwrapped) & truth.mask
+difference = np.where(measured, unwrapped - truth.phase, np.nan)
+constant = np.angle(np.nanmean(np.exp(1j * difference)))
+error = np.angle(np.exp(1j * (difference - constant)))
+print(f"{measured.sum() / truth.mask.sum():.1%} of the lit pixels, phase error {np.sqrt(np.nanmean(error**2)):.3f} rad RMS")
+print(f"about a constant of {constant:+.3f} rad, {np.ptp(unwrapped[measured]) / (2 * np.pi):.0f} cycles in view")
+
+figure = Figure(figsize=(10, 4), layout="compressed")
+panels = ((truth.image, "frame", {}), (phase, "wrapped phase, rad", {"cmap": "twilight"}), (error, "error, rad", {"vmin": -0.2, "vmax": 0.2}))
+for axes, (values, title, shown) in zip(figure.subplots(1, 3), panels, strict=True):
+    image = axes.imshow(values, **shown)
+    axes.set(title=title, xticks=[], yticks=[])
+    if shown:
+        figure.colorbar(image, ax=axes, shrink=0.7)
+figure.savefig("chain.png")

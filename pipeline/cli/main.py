@@ -13,7 +13,7 @@ from pipeline.cli.console import run, stdout
 from pipeline.text import one_line
 
 # Each command's file, and what `--help` lists without importing it.
-_COMMANDS = {
+COMMANDS = {
     "demo": ("demo", "Simulate a colour frame, decode it, and compare the result with the truth."),
     "plan": ("plan", "Predict what a rig will measure, before it is bought."),
     "calibrate": ("calibrate", "Measure the rig: its light, its geometry, and later whether both still hold."),
@@ -48,7 +48,7 @@ def command_line(words: Sequence[str]) -> App:
         suppress_keyboard_interrupt=False,  # `run` says what it has stopped
         error_formatter=lambda error: Text(one_line(f"error: {' '.join(str(error).split())}"), style="red"),
     )
-    for name, (file, summary) in _COMMANDS.items():
+    for name, (file, summary) in COMMANDS.items():
         app.command(f"pipeline.cli.{file}:{name}", name=name, help=None if name in words else summary)
     return app
 

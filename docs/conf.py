@@ -1,0 +1,92 @@
+"""The documentation's site: `python -m sphinx -W --keep-going docs build/site`, which needs the extra `docs` and no network."""
+
+import re
+import shutil
+from pathlib import Path
+
+from sphinx_gallery.scrapers import figure_rst
+
+from pipeline import __version__
+from pipeline.cli.main import COMMANDS, command_line
+from pipeline.cli.templates import rig_template, settings_template
+
+HERE = Path(__file__).parent
+GENERATED = HERE / "generated"
+
+project = "colorphase"
+author = "The colorphase authors"
+copyright = author
+version = release = __version__
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "numpydoc", "sphinx_gallery.gen_gallery"]
+root_doc = "README"
+exclude_patterns = ["generated/commands.md", "generated/examples", "examples", "gallery/sg_execution_times.rst", "sg_execution_times.rst"]
+suppress_warnings = ["config.cache"]  # the gallery's settings hold a class
+
+myst_enable_extensions = ["fieldlist"]
+myst_heading_anchors = 4
+
+autosummary_generate = True
+autodoc_typehints = "none"  # the docstrings give them
+numpydoc_show_class_members = False
+
+
+
+def pictures_of_an_example(block, block_vars, gallery_conf):
+    """Move the PNGs that a block of an example has written into the gallery, and return reST that shows them."""
+    shown = []
+    for picture in sorted(Path(block_vars["src_file"]).parent.glob("*.png"), key=lambda path: path.stat().st_mtime_ns):
+        shown.append(next(block_vars["image_path_iterator"]))
+        shutil.move(picture, shown[-1])
+    return figure_rst(shown, gallery_conf["src_dir"])
+
+
+sphinx_gallery_conf = {
+    "examples_dirs": "generated/examples",
+    "gallery_dirs": "gallery",
+    "filename_pattern": r"(?<!dslr_camera)\.py$",  # that one needs a camera
+    "image_scrapers": (pictures_of_an_example,),
+    "abort_on_example_error": True,
+    "download_all_examples": False,
+    "show_signature": False,
+}
+
+html_theme = "furo"
+html_title = f"colorphase {__version__}"
+html_show_sphinx = False
+
+
+def write_references(app):
+    """Write the pages that the program itself knows: its commands, its settings and the keys of a rig."""
+    for name in ("README", "CONTRIBUTING"):  # of the folder above; their links are relative to it
+        text = (HERE.parent / f"{name}.md").read_text(encoding="utf-8")
+        (GENERATED / f"{name.lower()}.md").write_text(text.replace("](docs/", "](../"), encoding="utf-8")
+    # Examples write files where they run.
+    shutil.copytree(HERE / "examples", GENERATED / "examples", dirs_exist_ok=True)
+    commands = command_line(list(COMMANDS)).generate_docs(output_format="markdown")
+    (GENERATED / "commands.md").write_text(commands.replace("# colorphase\n", "# Commands\n", 1))
+    (GENERATED / "settings.toml").write_text(settings_template())
+    (GENERATED / "rig.toml").write_text(rig_template("box", "basler", "pjlink", display=1))
+
+
+def adapt_links(app, name, source):
+    """Lead links to files of the repository to their pages on the site, and put the index's pages into the menu.
+
+    Each section of the index becomes a section of the menu, in the same order.
+    """
+    text = re.sub(r"\]\(\.\./(README|CONTRIBUTING)\.md", lambda found: f"](generated/{found[1].lower()}.md", source[0])
+    text = re.sub(r"\]\((?:\.\./)?examples/(\w+)\.py\)", r"](/gallery/\1.rst)", text).replace("](examples/GALLERY_HEADER.md)", "](gallery/index.rst)")
+    if name == root_doc:
+        sections = re.split(r"(?m)^(?=## )", text)
+        for k, section in enumerate(sections[1:], 1):
+            pages = "\n".join(page.removesuffix(".md") for page in re.findall(r"\]\(([\w/.]+)\)", section))
+            title = section.splitlines()[0].removeprefix("## ")
+            sections[k] = f"{section}\n```{{toctree}}\n:hidden:\n:caption: {title}\n\n{pages}\n```\n\n"
+        text = "".join(sections)
+    source[0] = text
+
+
+def setup(app):
+    """Connect both to Sphinx."""
+    app.connect("builder-inited", write_references, priority=1)  # before the gallery
+    app.connect("source-read", adapt_links)
