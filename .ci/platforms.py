@@ -9,7 +9,11 @@ import sys
 
 # Names of wheels' platforms, oldest systems last; the values of markers.
 PLATFORMS = {
-    "Linux x86-64": ([f"manylinux_2_{glibc}_x86_64" for glibc in (36, 34, 31, 28, 27, 24, 17, 12, 5)], "linux", "x86_64"),
+    "Linux x86-64": (
+        [f"manylinux_2_{glibc}_x86_64" for glibc in (36, 34, 31, 28, 27, 24, 17, 12, 5)],
+        "linux",
+        "x86_64",
+    ),
     "Linux aarch64": ([f"manylinux_2_{glibc}_aarch64" for glibc in (36, 34, 31, 28, 27, 24, 17)], "linux", "aarch64"),
     "macOS 14 arm64": (["macosx_14_0_arm64"], "darwin", "arm64"),
     "Windows x86-64": (["win_amd64"], "win32", "AMD64"),
@@ -38,7 +42,16 @@ def resolve(wheel: str, platform: str, python: str) -> str:
     """Return what pip would install, or raise `subprocess.CalledProcessError`."""
     tags, system, machine = PLATFORMS[platform]
     options = [word for tag in tags for word in ("--platform", tag)]
-    options += ["--python-version", python, "--only-binary", ":all:", "--dry-run", "--ignore-installed", "--target", "."]
+    options += [
+        "--python-version",
+        python,
+        "--only-binary",
+        ":all:",
+        "--dry-run",
+        "--ignore-installed",
+        "--target",
+        ".",
+    ]
     program = [sys.executable, "-c", _PIP, system, machine, python, "install", "--disable-pip-version-check", *options]
     done = subprocess.run([*program, wheel], capture_output=True, text=True, timeout=LIMIT_S, check=False)
     if done.returncode != 0:

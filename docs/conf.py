@@ -1,4 +1,4 @@
-"""The documentation's site: `python -m sphinx -W --keep-going docs build/site`, which needs the extra `docs` and no network."""
+"""The documentation's site: `python -m sphinx -W docs build/site`, which needs the extra `docs` and no network."""
 
 import re
 import shutil
@@ -20,7 +20,13 @@ version = release = __version__
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "numpydoc", "sphinx_gallery.gen_gallery"]
 root_doc = "README"
-exclude_patterns = ["generated/commands.md", "generated/examples", "examples", "gallery/sg_execution_times.rst", "sg_execution_times.rst"]
+exclude_patterns = [
+    "generated/commands.md",
+    "generated/examples",
+    "examples",
+    "gallery/sg_execution_times.rst",
+    "sg_execution_times.rst",
+]
 suppress_warnings = ["config.cache"]  # the gallery's settings hold a class
 
 myst_enable_extensions = ["fieldlist"]
@@ -29,7 +35,6 @@ myst_heading_anchors = 4
 autosummary_generate = True
 autodoc_typehints = "none"  # the docstrings give them
 numpydoc_show_class_members = False
-
 
 
 def pictures_of_an_example(block, block_vars, gallery_conf):
@@ -58,11 +63,11 @@ html_show_sphinx = False
 
 def write_references(app):
     """Write the pages that the program itself knows: its commands, its settings and the keys of a rig."""
+    # Examples write files where they run.
+    shutil.copytree(HERE / "examples", GENERATED / "examples", dirs_exist_ok=True)
     for name in ("README", "CONTRIBUTING"):  # of the folder above; their links are relative to it
         text = (HERE.parent / f"{name}.md").read_text(encoding="utf-8")
         (GENERATED / f"{name.lower()}.md").write_text(text.replace("](docs/", "](../"), encoding="utf-8")
-    # Examples write files where they run.
-    shutil.copytree(HERE / "examples", GENERATED / "examples", dirs_exist_ok=True)
     commands = command_line(list(COMMANDS)).generate_docs(output_format="markdown")
     (GENERATED / "commands.md").write_text(commands.replace("# colorphase\n", "# Commands\n", 1))
     (GENERATED / "settings.toml").write_text(settings_template())
@@ -75,7 +80,9 @@ def adapt_links(app, name, source):
     Each section of the index becomes a section of the menu, in the same order.
     """
     text = re.sub(r"\]\(\.\./(README|CONTRIBUTING)\.md", lambda found: f"](generated/{found[1].lower()}.md", source[0])
-    text = re.sub(r"\]\((?:\.\./)?examples/(\w+)\.py\)", r"](/gallery/\1.rst)", text).replace("](examples/GALLERY_HEADER.md)", "](gallery/index.rst)")
+    text = re.sub(r"\]\((?:\.\./)?examples/(\w+)\.py\)", r"](/gallery/\1.rst)", text).replace(
+        "](examples/GALLERY_HEADER.md)", "](gallery/index.rst)"
+    )
     if name == root_doc:
         sections = re.split(r"(?m)^(?=## )", text)
         for k, section in enumerate(sections[1:], 1):

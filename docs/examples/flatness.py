@@ -2,8 +2,8 @@
 The flatness of a plate
 =======================
 
-A plane is fitted to a plate that was measured. Its residuals separate noise, which differs from pixel to pixel, from the
-slow waves that a wrong calibration leaves.
+A plane is fitted to a plate that was measured. Its residuals separate noise, which differs from pixel to pixel, from
+the slow waves that a wrong calibration leaves.
 """
 
 import cv2
@@ -31,7 +31,9 @@ slow = np.where(frame.mask, cv2.blur(np.where(frame.mask, height, 0), (15, 15)) 
 print(f"{np.nanstd(slow):.3f} mm RMS of the averages, {np.nanmax(np.abs(slow)):.3f} mm at most")
 
 figure = Figure(figsize=(10, 4), layout="compressed")
-for axes, values, title in zip(figure.subplots(1, 2), (height, slow), ("each pixel", "averages of 15x15 pixels"), strict=True):
+for axes, values, title in zip(
+    figure.subplots(1, 2), (height, slow), ("each pixel", "averages of 15x15 pixels"), strict=True
+):
     limit = np.nanpercentile(np.abs(values), 99)
     image = axes.imshow(values, cmap="RdBu_r", vmin=-limit, vmax=limit)
     axes.set(title=title, xticks=[], yticks=[])

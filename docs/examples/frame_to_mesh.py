@@ -2,8 +2,8 @@
 A frame becomes a mesh
 ======================
 
-One colour frame becomes a surface in millimetres. For a picture of yours, read it with ``colorphase.read_image`` and its rig
-with ``colorphase.Calibration.read``.
+One colour frame becomes a surface in millimetres. For a picture of yours, read it with ``colorphase.read_image`` and
+its rig with ``colorphase.Calibration.read``.
 """
 
 import numpy as np

@@ -2,8 +2,8 @@
 Points in Open3D
 ================
 
-Open3D (``pip install open3d``, or ``open3d-cpu``) thins the points of a frame, removes outliers, and finds the wall behind
-the object.
+Open3D (``pip install open3d``, or ``open3d-cpu``) thins the points of a frame, removes outliers, and finds the wall
+behind the object.
 """
 
 import numpy as np

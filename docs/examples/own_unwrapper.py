@@ -2,7 +2,8 @@
 An unwrapper of your own
 ========================
 
-The decoder accepts any object with a method ``unwrap``. This one calls scikit-image, which needs ``pip install scikit-image``.
+The decoder accepts any object with a method ``unwrap``. This one calls scikit-image, which needs ``pip install
+scikit-image``.
 """
 
 import numpy as np

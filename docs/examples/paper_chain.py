@@ -2,8 +2,8 @@
 The chain of 2004, step by step
 ===============================
 
-C. Je, S. W. Lee and R.-H. Park, *Color-phase analysis for sinusoidal structured light in rapid range imaging* (2004), as
-functions of ``tikernels``: arrays in, arrays out. ``Decoder`` goes further.
+C. Je, S. W. Lee and R.-H. Park, *Color-phase analysis for sinusoidal structured light in rapid range imaging* (2004),
+as functions of ``tikernels``: arrays in, arrays out. ``Decoder`` goes further.
 """
 
 import numpy as np
@@ -42,14 +42,18 @@ measured = np.isfinite(unwrapped) & truth.mask
 difference = np.where(measured, unwrapped - truth.phase, np.nan)
 constant = np.angle(np.nanmean(np.exp(1j * difference)))
 error = np.angle(np.exp(1j * (difference - constant)))
-print(f"{measured.sum() / truth.mask.sum():.1%} of the lit pixels, phase error {np.sqrt(np.nanmean(error**2)):.3f} rad RMS")
-print(f"about a constant of {constant:+.3f} rad, {np.ptp(unwrapped[measured]) / (2 * np.pi):.0f} cycles in view")
+share, rms = measured.sum() / truth.mask.sum(), np.sqrt(np.nanmean(error**2))
+print(f"{share:.1%} of the lit pixels, phase error {rms:.3f} rad RMS")
+n_cycles = np.ptp(unwrapped[measured]) / (2 * np.pi)
+print(f"about a constant of {constant:+.3f} rad, {n_cycles:.0f} cycles in view")
 
 figure = Figure(figsize=(10, 4), layout="compressed")
-panels = ((truth.image, "frame", {}), (phase, "wrapped phase, rad", {"cmap": "twilight"}), (error, "error, rad", {"vmin": -0.2, "vmax": 0.2}))
-for axes, (values, title, shown) in zip(figure.subplots(1, 3), panels, strict=True):
-    image = axes.imshow(values, **shown)
+frame_axes, phase_axes, error_axes = figure.subplots(1, 3)
+frame_axes.imshow(truth.image)
+frame_axes.set(title="frame", xticks=[], yticks=[])
+shown = ((phase_axes, phase, "wrapped phase, rad", np.pi), (error_axes, error, "error, rad", 0.2))
+for axes, values, title, limit in shown:
+    image = axes.imshow(values, cmap="RdBu_r", vmin=-limit, vmax=limit)
     axes.set(title=title, xticks=[], yticks=[])
-    if shown:
-        figure.colorbar(image, ax=axes, shrink=0.7)
+    figure.colorbar(image, ax=axes, shrink=0.7)
 figure.savefig("chain.png")
