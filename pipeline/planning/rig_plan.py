@@ -60,7 +60,7 @@ REFLECTANCES = {"skin": SKIN, "white": WHITE}
 # skin that was measured.
 _SCATTER_MM = {"skin": (1.2, 0.6, 0.3), "white": (0.0, 0.0, 0.0)}
 # With less of red's contrast the phase errs by 0.10 to 0.16 rad, with more by 0.03 to 0.06, whatever the period: faces
-# before two drawn rigs, cycles of 4 and of 5.5 to 15 mm (`docs/limits.md`).
+# before two drawn rigs, cycles of 4 and of 5.5 to 15 mm (`docs/studies.md`).
 _LEAST_LEFT = 0.3
 # A mosaic has a third of the samples, from which all three colours of a pixel are interpolated.
 _VARIANCE = {"bayer": 3.0, "rgb": 1.0}
