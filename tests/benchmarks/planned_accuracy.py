@@ -11,7 +11,7 @@ from pipeline.planning import RigPlan, plan_rig
 
 
 def main() -> None:
-    """Print the tables of docs/planning.md."""
+    """Print tables of docs/studies.md."""
     tikernels.init("cpu")
     print("| rig | phase sigma, rad | plane: phase | depth | bust, most pixels: phase | depth |")
     print("|---|---|---|---|---|---|")
