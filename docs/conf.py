@@ -4,6 +4,7 @@ import re
 import shutil
 from pathlib import Path
 
+from cyclopts.docs import generate_markdown_docs
 from sphinx_gallery.scrapers import figure_rst
 
 from pipeline import __version__
@@ -33,6 +34,8 @@ myst_enable_extensions = ["fieldlist"]
 myst_heading_anchors = 4
 
 autosummary_generate = True
+templates_path = ["templates"]
+autodoc_default_options = {"exclude-members": "model_config, model_post_init"}  # pydantic's own
 autodoc_typehints = "none"  # the docstrings give them
 numpydoc_show_class_members = False
 
@@ -67,28 +70,30 @@ def write_references(app):
     shutil.copytree(HERE / "examples", GENERATED / "examples", dirs_exist_ok=True)
     for name in ("README", "CONTRIBUTING"):  # of the folder above; their links are relative to it
         text = (HERE.parent / f"{name}.md").read_text(encoding="utf-8")
-        (GENERATED / f"{name.lower()}.md").write_text(text.replace("](docs/", "](../"), encoding="utf-8")
-    commands = command_line(list(COMMANDS)).generate_docs(output_format="markdown")
-    (GENERATED / "commands.md").write_text(commands.replace("# colorphase\n", "# Commands\n", 1))
+        text = text.replace("](docs/", "](../").replace("](CONTRIBUTING.md", "](contributing.md")
+        (GENERATED / f"{name.lower()}.md").write_text(text, encoding="utf-8")
+    commands = generate_markdown_docs(command_line(list(COMMANDS)), generate_toc=False, no_root_title=True)
+    (GENERATED / "commands.md").write_text(commands, encoding="utf-8")
     (GENERATED / "settings.toml").write_text(settings_template())
     (GENERATED / "rig.toml").write_text(rig_template("box", "basler", "pjlink", display=1))
 
 
 def adapt_links(app, name, source):
-    """Lead links to files of the repository to their pages on the site, and put the index's pages into the menu.
+    """Lead links to files of the repository to their pages on the site, and put the pages of an index into the menu.
 
     Each section of the index becomes a section of the menu, in the same order.
     """
-    text = re.sub(r"\]\(\.\./(README|CONTRIBUTING)\.md", lambda found: f"](generated/{found[1].lower()}.md", source[0])
-    text = re.sub(r"\]\((?:\.\./)?examples/(\w+)\.py\)", r"](/gallery/\1.rst)", text).replace(
-        "](examples/GALLERY_HEADER.md)", "](gallery/index.rst)"
-    )
-    if name == root_doc:
+    text = re.sub(r"\]\((\.\./)?examples/(\w+)\.py\)", r"](/gallery/\2.rst)", source[0])
+    text = text.replace("](examples/GALLERY_HEADER.md)", "](gallery/index.rst)")
+    if not name.startswith("generated/"):
+        text = re.sub(r"\]\(\.\./(README|CONTRIBUTING)\.md", lambda found: f"](/generated/{found[1].lower()}.md", text)
+    if Path(name).name == "README":
         sections = re.split(r"(?m)^(?=## )", text)
-        for k, section in enumerate(sections[1:], 1):
-            pages = "\n".join(page.removesuffix(".md") for page in re.findall(r"\]\(([\w/.]+)\)", section))
-            title = section.splitlines()[0].removeprefix("## ")
-            sections[k] = f"{section}\n```{{toctree}}\n:hidden:\n:caption: {title}\n\n{pages}\n```\n\n"
+        for k, section in enumerate(sections):
+            pages = "\n".join(re.findall(r"\]\(([\w/]+)\.(?:md|rst)\)", section))
+            title = re.match("## (.+)", section)
+            caption = f":caption: {title[1]}\n" if title else ""
+            sections[k] = f"{section}\n```{{toctree}}\n:hidden:\n{caption}\n{pages}\n```\n\n"
         text = "".join(sections)
     source[0] = text
 
