@@ -59,6 +59,7 @@ sphinx_gallery_conf = {
     "show_signature": False,
 }
 
+smartquotes = False  # two hyphens begin an option
 html_theme = "furo"
 html_title = f"colorphase {__version__}"
 html_show_sphinx = False
@@ -72,7 +73,9 @@ def write_references(app):
         text = (HERE.parent / f"{name}.md").read_text(encoding="utf-8")
         text = text.replace("](docs/", "](../").replace("](CONTRIBUTING.md", "](contributing.md")
         (GENERATED / f"{name.lower()}.md").write_text(text, encoding="utf-8")
-    commands = generate_markdown_docs(command_line(list(COMMANDS)), generate_toc=False, no_root_title=True)
+    commands = generate_markdown_docs(
+        command_line(list(COMMANDS)), generate_toc=False, no_root_title=True, heading_level=2
+    )
     (GENERATED / "commands.md").write_text(commands, encoding="utf-8")
     (GENERATED / "settings.toml").write_text(settings_template())
     (GENERATED / "rig.toml").write_text(rig_template("box", "basler", "pjlink", display=1))
@@ -84,7 +87,7 @@ def adapt_links(app, name, source):
     Each section of the index becomes a section of the menu, in the same order.
     """
     text = re.sub(r"\]\((\.\./)?examples/(\w+)\.py\)", r"](/gallery/\2.rst)", source[0])
-    text = text.replace("](examples/GALLERY_HEADER.md)", "](gallery/index.rst)")
+    text = text.replace("](examples)", "](gallery/index.rst)")
     if not name.startswith("generated/"):
         text = re.sub(r"\]\(\.\./(README|CONTRIBUTING)\.md", lambda found: f"](/generated/{found[1].lower()}.md", text)
     if Path(name).name == "README":

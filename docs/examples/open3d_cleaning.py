@@ -8,6 +8,7 @@ behind the object.
 
 import numpy as np
 import open3d
+from matplotlib.figure import Figure
 
 import colorphase
 
@@ -28,6 +29,16 @@ clean, _ = thin.remove_statistical_outlier(nb_neighbors=20, std_ratio=3.0)
 distance = abs(d) / np.linalg.norm((a, b, c))
 print(f"{len(points.points)} points, {len(clean.points)} after cleaning; the wall is {distance:.1f} mm away")
 
+# %%
+# What is not on the wall is the ball.
+
 ball = clean.select_by_index(on_wall, invert=True)
 open3d.io.write_point_cloud("ball.ply", ball)
 print(f"ball.ply: {len(ball.points)} points, the nearest at {np.asarray(ball.points)[:, 2].min():.1f} mm")
+
+figure = Figure(layout="compressed")
+axes = figure.add_subplot(projection="3d")
+x, y, z = np.asarray(ball.points).T
+axes.scatter(x, z, -y, c=z, s=1)
+axes.set(xlabel="x, mm", ylabel="z, mm", zlabel="up, mm", aspect="equal")
+figure.savefig("ball.png")

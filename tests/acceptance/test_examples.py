@@ -58,6 +58,22 @@ def test_a_frame_becomes_a_mesh(tmp_path):
     assert (tmp_path / "mesh.ply").stat().st_size > 12 * points
 
 
+def test_sigma_describes_the_errors(tmp_path):
+    """68 % and 95 % in a normal distribution; sigma is a little too wide in smooth surfaces."""
+    said = printed("how_sure.py", tmp_path)
+    found = re.search(r"(\d+)% of the errors within one sigma, (\d+)% within two", said)
+    assert found is not None, said
+    assert 65 < int(found[1]) < 85 and int(found[2]) > 93
+
+
+def test_a_plate_is_flat(tmp_path):
+    """Noise below 0.15 mm, and below 0.05 mm in averages of 15x15 pixels."""
+    said = printed("flatness.py", tmp_path)
+    found = re.search(r"points, ([\d.]+) mm RMS from the plane\n([\d.]+) mm RMS of the averages", said)
+    assert found is not None, said
+    assert 0.01 < float(found[1]) < 0.15 and float(found[2]) < 0.05
+
+
 def test_a_folder_becomes_depth_over_time(tmp_path):
     """A sheet that moves away by 2 mm a picture."""
     said = printed("depth_over_time.py", tmp_path)

@@ -18,13 +18,13 @@ PAINT_STEP, PAINT_PX = 0.08, 9
 
 
 class PortraitFigures(NamedTuple):
-    """Depth is true depth subtracted from measured depth, both along the camera's axis."""
+    """Depth errors are measured minus true depth along the camera's axis, of pixels whose fringe order is right."""
 
     coverage: float  # share of the lit head that has a depth
     coverage_inside: float  # the same, silhouettes left out
     right_orders: float  # share of those with a depth whose fringe order is right
     wrong_and_sure: float  # share of those with a depth whose order is wrong but said to be absolute
-    rms_mm: float  # of all with a depth
+    rms_mm: float
     rms_inside_mm: float  # silhouettes left out
     bias_inside_mm: float
     rms_even_mm: float  # silhouettes and edges of paint left out
@@ -42,17 +42,18 @@ def portrait_figures(frame: DecodedFrame, truth: SimulatedFrame) -> PortraitFigu
     measured = head & frame.mask & np.isfinite(frame.points[..., 2])
     inside = measured & ~rims
     error = np.where(measured, frame.points[..., 2].astype(np.float64) - depth, 0.0)
-    right = np.abs(np.nan_to_num(frame.unwrapped_phase) - truth.phase) < np.pi
+    right = measured & (np.abs(np.nan_to_num(frame.unwrapped_phase) - truth.phase) < np.pi)
+    compared = inside & right
     return PortraitFigures(
         coverage=float(measured.sum() / head.sum()),
         coverage_inside=float(inside.sum() / (head & ~rims).sum()),
-        right_orders=float((right & measured).sum() / measured.sum()),
+        right_orders=float(right.sum() / measured.sum()),
         wrong_and_sure=float((~right & frame.absolute & measured).sum() / measured.sum()),
-        rms_mm=_rms(error[measured]),
-        rms_inside_mm=_rms(error[inside]),
-        bias_inside_mm=float(error[inside].mean()),
-        rms_even_mm=_rms(error[inside & ~edges]),
-        sigma_inside_mm=_rms(frame.point_sigma[inside]),
+        rms_mm=_rms(error[right]),
+        rms_inside_mm=_rms(error[compared]),
+        bias_inside_mm=float(error[compared].mean()),
+        rms_even_mm=_rms(error[compared & ~edges]),
+        sigma_inside_mm=_rms(frame.point_sigma[compared]),
     )
 
 

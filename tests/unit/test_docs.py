@@ -5,11 +5,15 @@ import re
 from collections import Counter
 from pathlib import Path
 
+import pytest
 from support.import_graph import imported_modules, module_paths, ranks_of, rooms_of
 from support.room_figure import draw_rooms
 
+import colorphase
+
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
+#: Not what the site's builder writes.
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "decisions").glob("*.md")])
 PACKAGES = "tikernels|pipeline|hardware"
 #: A path from the project's root, in a command or in prose.
 PATH = re.compile(rf"(?<![\w/.-])(?:{PACKAGES}|tests|docs)/[\w./-]*\w")
@@ -58,11 +62,17 @@ def test_names_exist():
     assert not missing
 
 
-def test_every_page_is_in_the_index():
-    index = ROOT / "docs" / "README.md"
+@pytest.mark.parametrize("folder", ["docs", "docs/decisions"])
+def test_every_page_is_in_the_index(folder):
+    index = ROOT / folder / "README.md"
     linked = {(index.parent / link).resolve() for link in LINK.findall(index.read_text(encoding="utf-8"))}
     pages = {page for page in PAGES if page.parent == index.parent} - {index}
     assert pages <= linked
+
+
+def test_every_public_name_is_in_the_reference():
+    listed = re.findall(r"^   (\w+)$", (ROOT / "docs" / "api.md").read_text(encoding="utf-8"), flags=re.MULTILINE)
+    assert sorted(listed) == sorted(colorphase.__all__)
 
 
 def names_in(figure: Path) -> Counter[str]:

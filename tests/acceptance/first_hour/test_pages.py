@@ -42,6 +42,8 @@ TEST_COMMAND = (
 #: What is not run, and why.
 NOT_RUN = {
     TEST_COMMAND: "these tests themselves; .ci/run runs it",
+    'python -m pip install -e ".[headless,docs]"': "these tests' environment has them",
+    "python -m sphinx -W --keep-going -D plot_gallery=0 docs build/site": "test_site.py runs it",
     "pip install 'colorphase[project]'": "from a package index; the extra is in the tests' environment",
     "colorphase project pattern.png --display 1": "needs a second screen; tests of `colorphase project` have one",
     "colorphase projector on --rig rig.toml": "needs a projector; its tests emulate one",
