@@ -96,10 +96,9 @@ def scrub(folder: Path, n_frames: int, browser: bool) -> None:
 def live(folder: Path, seconds: float, browser: bool) -> None:
     """Print the time from exposure to message, next to a recording of the same frames, and how far that fell behind."""
     size_px, format = (640, 480), colorphase.PixelFormat("rgb")
-    rig = colorphase.simulated_rig(size_px, code="contrast")
-    images = [
-        np.asarray(colorphase.simulate_frame(rig, colorphase.SimulationSettings(seed=seed)).image) for seed in range(4)
-    ]
+    settings = [colorphase.SimulationSettings(seed=seed) for seed in range(4)]
+    rig = colorphase.simulated_rig(size_px, code="contrast").replace(crosstalk_matrix=settings[0].crosstalk_matrix)
+    images = [np.asarray(colorphase.simulate_frame(rig, each).image) for each in settings]
     subject, worst = LiveSubject("benchmark"), 0.0
     with ExitStack() as stack:
         decoder = stack.enter_context(colorphase.LiveDecoder(size_px, calibration=rig, format=format, arch="cpu"))
@@ -126,17 +125,16 @@ def live(folder: Path, seconds: float, browser: bool) -> None:
             subject.hear(watched, 0)
             recorder.add(image)
             number += 1
-        took, drawn = pipe.recv()
-    middle_ms = 1e3 * statistics.median(took)
-    print(f"live: decoded after {1e3 * (decoder.latency_s or 0):.0f} ms, ", end="")
-    print(f"{middle_ms:.0f} ms at the median from exposure to message, {len(took) / seconds:.1f} frames/s sent")
+        decoded, took, drawn = pipe.recv()
+    print(f"live, medians: decoded {1e3 * statistics.median(decoded):.0f} ms after the exposure, ", end="")
+    print(f"message {1e3 * statistics.median(took):.0f} ms after it, {len(took) / seconds:.1f} frames/s sent")
     if browser:
         print(f"{drawn / seconds:.1f} surfaces/s drawn")
     print(f"{number} frames recorded at {RATE_HZ}/s, at most {1e3 * worst:.0f} ms late")
 
 
 def watch(address: str, seconds: float, browser: bool, pipe: Connection) -> None:
-    """Take live frames for some seconds; say how old each was when it came, and how many surfaces were drawn."""
+    """Take live frames for some seconds; send the age of each when decoded and when it came, and the surfaces drawn."""
     with ExitStack() as stack:
         while not urllib.request.urlopen(f"{address}live?after=-1&fields=mask&step=2").read():
             pass
@@ -146,7 +144,7 @@ def watch(address: str, seconds: float, browser: bool, pipe: Connection) -> None
             tab.goto(address)
             tab.wait_for_selector("body[data-shown]")
             before = tab.evaluate("viewer.surface.drawn")
-        after, took, until = -1, [], time.monotonic() + seconds
+        after, decoded, took, until = -1, [], [], time.monotonic() + seconds
         while time.monotonic() < until:
             if tab is not None:  # the page takes the frames itself
                 tab.wait_for_timeout(200)
@@ -155,7 +153,8 @@ def watch(address: str, seconds: float, browser: bool, pipe: Connection) -> None
                 head = json.loads(message[4 : 4 + int.from_bytes(message[:4], "little")])
                 after = head["number"]
                 took.append(time.monotonic() - head["exposed_at_s"])
-        pipe.send((took, 0 if tab is None else tab.evaluate("viewer.surface.drawn") - before))
+                decoded.append(float(re.match(r"(\d+) ms", head["status"])[1]) / 1e3)
+        pipe.send((decoded, took, 0 if tab is None else tab.evaluate("viewer.surface.drawn") - before))
 
 
 if __name__ == "__main__":
