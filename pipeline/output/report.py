@@ -66,7 +66,7 @@ def depth_in_words(frame: FrameFields, *, front_known: bool) -> str | None:
     if mask is not None and not mask.any():
         return None
     if not frame.calibrated:
-        guess = "; which side is in front is a guess, and projector_side in the settings tells"
+        guess = "; which side is in front is a guess: projector_side in the settings states it"
         return (
             "depth is relative, in rad of phase and not in mm: give a --calibration with the rig's geometry"
             f"{'' if front_known else guess}"
@@ -76,12 +76,12 @@ def depth_in_words(frame: FrameFields, *, front_known: bool) -> str | None:
     single = region is not None and len(np.unique(region[unknown])) == 1
     which = "the surface" if single else "each surface"
     per_rad = mm_per_rad(frame, unknown)
-    cycle = "" if per_rad is None else f", some {2 * np.pi * per_rad:.2g} mm each"
+    cycle = "" if per_rad is None else f", about {2 * np.pi * per_rad:.2g} mm each"
     share = unknown.sum() / mask.sum()
     part = "less than 1%" if share < 0.005 else f"{share:.0%}"
     return (
         f"depth is relative on {part} of the pixels: {which} there may be off by whole "
-        f"cycles{cycle}; a pattern with the code or a --depth-range tells"
+        f"cycles{cycle}; a pattern with the code or a --depth-range determines it"
     )
 
 

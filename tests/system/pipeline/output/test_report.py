@@ -84,7 +84,7 @@ def test_depth_that_is_only_relative_is_said(truth):
     plain = Decoder(DecodeSettings(projector_side="above"), arch="cpu").decode(truth.image)
     relative = "depth is relative, in rad of phase and not in mm: give a --calibration with the rig's geometry"
     assert words(plain) == relative
-    guess = "; which side is in front is a guess, and projector_side in the settings tells"
+    guess = "; which side is in front is a guess: projector_side in the settings states it"
     assert words(Decoder(arch="cpu").decode(truth.image)) == relative + guess
     calibrated = Decoder(calibration=rig, arch="cpu").decode(truth.image)
     said = words(calibrated)
