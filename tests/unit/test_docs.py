@@ -75,6 +75,11 @@ def test_every_public_name_is_in_the_reference():
     assert sorted(listed) == sorted(colorphase.__all__)
 
 
+def test_the_citation_names_this_version():
+    said = re.search(r"^version: (\S+)$", (ROOT / "CITATION.cff").read_text(encoding="utf-8"), flags=re.MULTILINE)
+    assert said is not None and said[1] == colorphase.__version__
+
+
 def names_in(figure: Path) -> Counter[str]:
     """Return what is written in a figure of the rooms, but for the ranks."""
     written = re.findall(r"<text[^>]*>([^<]+)</text>", figure.read_text(encoding="utf-8"))
