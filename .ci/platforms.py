@@ -1,7 +1,7 @@
 """Resolve the dependencies of a wheel for each platform and Python that it promises: `python .ci/platforms.py WHEEL`.
 
-pip's own resolver does it. pip evaluates the markers of dependencies for the machine that it runs on, even with
-`--platform`; this program calls it with the other machine's.
+pip's own resolver does it. With `--platform` and `--python-version` pip selects wheels for another machine, but still
+evaluates markers for this one, and `Requires-Python` for the Python that runs it; this program states the other's.
 """
 
 import subprocess
@@ -33,6 +33,10 @@ there = {
     "os_name": "nt" if system == "win32" else "posix",
 }
 markers.default_environment = lambda: {**here(), **there}
+from pip._internal.cli.req_command import RequirementCommand
+make = RequirementCommand.make_resolver.__func__
+version = (*map(int, python.split(".")), 0)
+RequirementCommand.make_resolver = classmethod(lambda *given, **named: make(*given, **named, py_version_info=version))
 from pip._internal.cli.main import main
 sys.exit(main(sys.argv[4:]))
 """
@@ -55,7 +59,9 @@ def resolve(wheel: str, platform: str, python: str) -> str:
     program = [sys.executable, "-c", _PIP, system, machine, python, "install", "--disable-pip-version-check", *options]
     done = subprocess.run([*program, wheel], capture_output=True, text=True, timeout=LIMIT_S, check=False)
     if done.returncode != 0:
-        raise RuntimeError(done.stderr.strip())
+        conflict = done.stdout.partition("The conflict is caused by:")[2]
+        errors = [line for line in done.stderr.splitlines() if line.startswith("ERROR")]
+        raise RuntimeError("\n".join([*errors, *conflict.strip().splitlines()]))
     return next(line for line in reversed(done.stdout.splitlines()) if line.startswith("Would install"))
 
 
