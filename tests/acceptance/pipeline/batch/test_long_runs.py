@@ -18,7 +18,7 @@ from pipeline.output.store import chosen_fields
 
 pytestmark = pytest.mark.usefixtures("cpu")
 
-KILLS = 20
+KILLS = 10
 
 
 @pytest.mark.timeout(1800)
