@@ -6,7 +6,7 @@ from typing import Literal, Self
 Key = Literal[
     "another camera", "another sensor", "binned", "calibrated binned", "code not seen", "code shown", "code too weak",
     "colours swapped", "corners off", "cropped", "exposure_s", "field order shown", "fields unknown", "folded lens",
-    "gain", "impossible period",
+    "frames apart", "gain", "impossible period",
     "low contrast", "no fringe", "not calibrated", "odd colours", "on its side", "orders guessed", "other crosstalk",
     "other scene", "other shape", "other squares", "other stripes", "out of range", "over-exposed", "past the pattern",
     "poses do not fit", "repeated-chroma", "reversed", "reversed for another reason", "rig moved", "swapped",

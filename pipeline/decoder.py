@@ -540,11 +540,17 @@ class Decoder:
         known, model = self._light, work.model
         if self._fields is None or memory is None:
             return frame.image, None
-        fields = replace(self._fields, cycle=self._fields.cycle / memory.elapsed)
         light = known.fit(frame.image, levels, model, before=memory.surfaces)
         fit = fit_phase(frame.image, model, light.crosstalk, levels, light.correction, known.contrast_doubt)
-        before, rows_last = memory.surface.unwrapped, self._setup.stripes == "vertical"
-        motion = measure_motion(fit.phase, before, fields, memory.fields, work.period_px, rows_last=rows_last)
+        motion = measure_motion(
+            fit.phase,
+            memory.surface.unwrapped,
+            self._fields,
+            memory.fields,
+            work.period_px,
+            elapsed=memory.elapsed,
+            rows_last=self._setup.stripes == "vertical",
+        )
         lags = motion.lags(fit.modulation)
         return hold_still(frame.image, fit, motion, model, light.crosstalk, lags), motion
 
@@ -555,8 +561,8 @@ class Decoder:
         if not self._row or memory is None:
             return None
         before, rows_last = memory.surface.unwrapped, self._setup.stripes == "vertical"
-        row = self._row / memory.elapsed
-        motion = measure_rows(surface.unwrapped, before, row, work.period_px, rows_last=rows_last)
+        seen = (surface.unwrapped, before, self._row, work.period_px)
+        motion = measure_rows(*seen, elapsed=memory.elapsed, rows_last=rows_last)
         runtime.write(runtime.to_host(surface.unwrapped) - motion.since_middle, surface.unwrapped)  # synchronises
         doubt_motion(motion, phases.precision, out=phases.misfit)
         return motion

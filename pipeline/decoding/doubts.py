@@ -236,6 +236,12 @@ def motion_doubts(
                 f"{moved.too_fast:.0%} of the surface moves by a third of a cycle or more from frame to frame: its "
                 f"{parts}, one after another, cannot be put together there; take frames faster"
             )
+        if moved is not None and memory is not None and moved.guessed > _FEW:
+            doubts["frames apart"] = (
+                f"{moved.guessed:.0%} of the surface moves between {parts} that are taken one after another, and the "
+                f"previous frame is {memory.elapsed:.3g} frames back: how fast it moves is a guess, and sigma contains "
+                "that; decode every frame (step 1)"
+            )
     if motion is None or fields is None:
         return tuple(Cause(key, words) for key, words in doubts.items())
     rows = max(motion.times.shape[:2])

@@ -24,6 +24,7 @@ that is exposed t frames after the middle one is carried to the middle one's tim
 of one moment, so that v is averaged over a part of a cycle only and follows the surface.
 """
 
+from dataclasses import replace
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -52,8 +53,9 @@ from tikernels.raw.linearization import LEVEL_TYPES
 _GRID_PX, _ROW_WINDOW = 2, 0.25
 # It is known where this share of the window has a phase in both frames, and where it is less than a third of a cycle.
 _FILLED, _FASTEST = 0.1, 2.0 * np.pi / 3
-# What is undone is right to this fraction: surfaces speed up and turn.
-_DOUBT = 0.2
+# What is undone is right to this fraction times the time since the frame before, in times from frame to frame: surfaces
+# speed up and turn. From the second on it is a guess.
+_DOUBT, _GUESS = 0.2, 0.5
 # The change of the error over a cycle is sampled this often; half a cycle both ways is one independent sample, for so
 # far texture and compression reach.
 _SAMPLES = 8
@@ -82,6 +84,13 @@ class FieldMotion(NamedTuple):
     """(hypotheses,) probability of each of `ColorFields`."""
     too_fast: float
     """Share of the pixels seen in both frames whose change they do not show, because it is too fast."""
+    doubt: float = _DOUBT
+    """What is undone is right to this fraction."""
+
+    @property
+    def guessed(self) -> float:
+        """Share of the pixels that move so much that it shows, while the frame before is too long ago to know by it."""
+        return _guessed(self, self.times.std(axis=-1))
 
     @property
     def unknown(self) -> float:
@@ -112,6 +121,13 @@ class RowMotion(NamedTuple):
     """(H or 1, W or 1) when a row is exposed, after the middle one, in times from frame to frame."""
     too_fast: float
     """Share of the pixels seen in both frames whose change is a third of a cycle or more."""
+    doubt: float = _DOUBT
+    """See `FieldMotion`."""
+
+    @property
+    def guessed(self) -> float:
+        """See `FieldMotion`."""
+        return _guessed(self, np.abs(self.times))
 
     @property
     def since_middle(self) -> npt.NDArray[np.float32]:
@@ -119,7 +135,16 @@ class RowMotion(NamedTuple):
         return np.asarray(np.nan_to_num(self.change) * self.times)
 
 
-def measure_rows(unwrapped: F32, before: F32, row: float, period_px: float, *, rows_last: bool = False) -> RowMotion:
+def _guessed(motion: FieldMotion | RowMotion, times: npt.NDArray[np.float32]) -> float:
+    if motion.doubt < _GUESS:
+        return 0.0
+    seen = np.count_nonzero(np.abs(np.nan_to_num(motion.change)) * times > _UNNOTICED)
+    return float(seen / max(int(np.count_nonzero(np.isfinite(motion.change))), 1))
+
+
+def measure_rows(
+    unwrapped: F32, before: F32, row: float, period_px: float, *, elapsed: float = 1.0, rows_last: bool = False
+) -> RowMotion:
     """Measure by how much the phase changes while a frame's rows are exposed one after another.
 
     Parameters
@@ -130,6 +155,8 @@ def measure_rows(unwrapped: F32, before: F32, row: float, period_px: float, *, r
         From one row's exposure to the next one's, in times from frame to frame.
     period_px : float
         Camera px per cycle.
+    elapsed : float
+        Since the frame before, in times from frame to frame.
     rows_last : bool
         True if the camera's rows are the image's columns.
 
@@ -143,8 +170,9 @@ def measure_rows(unwrapped: F32, before: F32, row: float, period_px: float, *, r
     step = now - then
     change, too_fast = _averaged_change(step, np.isfinite(step), _ROW_WINDOW * period_px)
     rows = now.shape[1 if rows_last else 0]
-    times = np.expand_dims(row * (np.arange(rows) - 0.5 * (rows - 1)), 0 if rows_last else 1).astype(np.float32)
-    return RowMotion(change, times, too_fast)
+    after = row / elapsed * (np.arange(rows) - 0.5 * (rows - 1))
+    times = np.expand_dims(after, 0 if rows_last else 1).astype(np.float32)
+    return RowMotion(change, times, too_fast, _doubt_after(elapsed))
 
 
 def _averaged_change(
@@ -176,6 +204,7 @@ def measure_motion(
     shares: npt.NDArray[np.float64] | None,
     period_px: float,
     *,
+    elapsed: float = 1.0,
     rows_last: bool = False,
 ) -> FieldMotion:
     """Measure by how much the phase has changed around every pixel, and when the colours were seen.
@@ -192,6 +221,8 @@ def measure_motion(
         Of the frame before; None: not known.
     period_px : float
         Camera px per cycle.
+    elapsed : float
+        Since the frame before, in times from frame to frame.
     rows_last : bool
         True if the camera's rows are the image's columns.
 
@@ -206,17 +237,23 @@ def measure_motion(
     then = np.where(both, then, np.float32(0))
     step = np.where(both, now - then, np.float32(0))
     change, too_fast = _averaged_change(step, both, period_px)
+    fields = replace(fields, cycle=fields.cycle / elapsed)
     rows = 1 if fields.row == 0 else now.shape[1 if rows_last else 0]
     times = np.expand_dims(fields.times(rows), 1 if rows_last else 2)
     expected = fields.expect(shares)
     if len(expected) > 1:
         unwrapped = np.where(both, then + step - 2 * np.pi * np.rint(step / (2 * np.pi)), 0).astype(np.float32)
-        likelihood = _log_likelihood(unwrapped, np.where(both, change, np.nan), times, period_px)
+        likelihood = _log_likelihood(unwrapped, np.where(both, change, np.nan), times, period_px, _doubt_after(elapsed))
         expected *= np.exp(likelihood - likelihood.max())
         expected /= expected.sum()
     mean_times = np.tensordot(expected, times, axes=1)
     spread = np.tensordot(expected, (times - mean_times) ** 2, axes=1).mean(axis=-1)
-    return FieldMotion(change, mean_times.astype(np.float32), np.sqrt(spread).astype(np.float32), expected, too_fast)
+    unsure = np.sqrt(spread).astype(np.float32)
+    return FieldMotion(change, mean_times.astype(np.float32), unsure, expected, too_fast, _doubt_after(elapsed))
+
+
+def _doubt_after(elapsed: float) -> float:
+    return min(1.0, _DOUBT * elapsed)
 
 
 def _summed(values: npt.NDArray[np.float32], shape: tuple[int, ...]) -> npt.NDArray[np.float64]:
@@ -230,6 +267,7 @@ def _log_likelihood(
     change: npt.NDArray[np.float32],
     times: npt.NDArray[np.float64],
     period_px: float,
+    doubt: float,
 ) -> npt.NDArray[np.float64]:
     """Return that of times (N, H or 1, W or 1, 3), by the second harmonic that motion puts into a phase (H, W), rad."""
     every = max(1, int(period_px / _SAMPLES))
@@ -267,7 +305,7 @@ def _log_likelihood(
     variance = float((weight * deviation**2).sum() / max(weight.sum(), TINY))
     samples = (2 * every / period_px) ** 2 / max(variance, TINY)
     # More samples do not help beyond what a prediction is off by itself.
-    return np.asarray(0.5 * samples * explained / (1 + _DOUBT**2 * samples * predicted[explained.argmax()]))
+    return np.asarray(0.5 * samples * explained / (1 + doubt**2 * samples * predicted[explained.argmax()]))
 
 
 @ti.func
@@ -412,7 +450,7 @@ def doubt_motion(motion: FieldMotion | RowMotion, precision: F32, out: F32) -> N
     change = checks.read_array("change", motion.change, shape, np.float32)
     out = checks.out_buffer("misfit", out, shape, np.float32)
     if isinstance(motion, RowMotion):
-        doubts = np.abs(_DOUBT * motion.times)
+        doubts = np.abs(motion.doubt * motion.times)
     else:
-        doubts = np.hypot(_DOUBT * motion.times.std(axis=-1), motion.unsure)
+        doubts = np.hypot(motion.doubt * motion.times.std(axis=-1), motion.unsure)
     doubt_motion_kernel(change, doubts, precision, out)

@@ -52,14 +52,14 @@ def said(call):
     return {warning.message.args[0].key for warning in found}
 
 
-def decoded(image, calibration=None, previous=None, **settings):
+def decoded(image, calibration=None, previous=None, elapsed=1.0, **settings):
     decoder = Decoder(DecodeSettings(**settings), calibration, arch="cpu")
     before = None
     if previous is not None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             before = decoder.decode(previous)
-    return said(lambda: decoder.decode(np.ascontiguousarray(image), previous=before))
+    return said(lambda: decoder.decode(np.ascontiguousarray(image), previous=before, elapsed=elapsed))
 
 
 #: Settings of colours one after another, in an unknown order, before a rolling shutter.
@@ -221,6 +221,10 @@ CAUSES = {
     "too fast": (
         lambda: decoded(photographed(scene="plane"), rig(), photographed(scene="bust"), **FIELDS),
         lambda: decoded(photographed(seed=1), rig(), photographed(), **FIELDS),
+    ),
+    "frames apart": (
+        lambda: decoded(photographed(scene="bust", object_motion_mm=(0, 0, -3)), rig(), rest(), 3.0, **FIELDS),
+        lambda: decoded(photographed(scene="bust", object_motion_mm=(0, 0, -3)), rig(), rest(), **FIELDS),
     ),
     "fields unknown": (
         lambda: decoded(photographed(scene="bust", object_motion_mm=(0, 0, -3)), rig(), rest(), **FREE),

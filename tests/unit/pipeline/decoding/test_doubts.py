@@ -113,6 +113,7 @@ def test_motion_between_colours(change, unsure, too_fast, keys):
     times = np.array([[[-0.1, 0.0, 0.1]]], np.float32)
     changes, unsures = np.full((8, 8), change, np.float32), np.full((1, 1), unsure, np.float32)
     motion = FieldMotion(changes, times, unsures, np.ones(64) / 64, too_fast)
+    assert motion.guessed == 0 and motion._replace(doubt=1.0).guessed == (change > 0.1)
     doubts = motion_doubts(motion, None, ColorFields(0.5, shown=np.array([[0, 1], [1, 2], [2, 3]]) / 3), None)
     assert {doubt.key for doubt in doubts} == keys
 

@@ -211,6 +211,9 @@ def test_rows_change_by_the_time_from_the_middle_one_to_their_own(cpu, rows_last
     doubt_motion(motion, np.full(now.shape, 100, np.float32), misfit)
     doubt = misfit.T if rows_last else misfit
     np.testing.assert_allclose(doubt[60:, 10:-10], 100 * (0.2 * expected[60:, 10:-10]) ** 2, atol=2e-3)
+    later = measure_rows(now, then, 0.003, PERIOD_PX, elapsed=3.0, rows_last=rows_last)  # a frame of three
+    np.testing.assert_allclose(later.times, motion.times / 3, rtol=1e-5)
+    assert later.doubt == pytest.approx(0.6) and later.guessed > 0.3 and motion.guessed == 0
     then -= np.float32(2.0)  # 2.4 rad a frame and more
     fast = measure_rows(now, then, 0.003, PERIOD_PX, rows_last=rows_last)
     assert fast.too_fast > 0.95
