@@ -32,7 +32,7 @@ def test_every_frame_has_a_box_and_every_picture_a_place():
     assert boxes().keys() == {*SYMPTOMS, *SEQUENCES}
     shown = re.findall(r"\]\(troubleshooting/([\w.]+)\)", page())
     assert sorted(shown) == sorted(path.name for path in PICTURES.iterdir())
-    assert sum(path.stat().st_size for path in PICTURES.iterdir()) < 600_000
+    assert sum(path.stat().st_size for path in PICTURES.iterdir()) < 2_500_000
 
 
 def without_figures(lines: list[str]) -> list[str]:
