@@ -90,7 +90,7 @@ def test_depth_that_is_only_relative_is_said(truth):
     said = words(calibrated)
     assert "relative on 100% of the pixels: the surface there may be off by whole cycles, about" in said
     # The plane stands 900 mm away; the period is twice the usual one, of 45 mm a cycle.
-    assert 80 < float(said.split("some ")[1].split(" mm")[0]) < 110
+    assert 80 < float(said.split("about ")[1].split(" mm")[0]) < 110
     assert "each surface there may be off by whole cycles; a" in words(calibrated, ("region", "point_sigma"))
     assert words(calibrated, ("absolute",)) is None
 
