@@ -52,6 +52,14 @@ def test_search_needs_no_other_host(site):
         def log_message(self, *_):
             """Print nothing."""
 
+        def do_GET(self):
+            """Send a file; a browser asks for an icon by itself, and is told that there is none."""
+            if self.path == "/favicon.ico":
+                self.send_response(204)
+                self.end_headers()
+            else:
+                super().do_GET()
+
     handler = functools.partial(Handler, directory=site)
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server, browsing() as page:
         threading.Thread(target=server.serve_forever, daemon=True).start()

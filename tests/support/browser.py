@@ -36,8 +36,8 @@ def browsing(width: int = 1200, height: int = 800) -> Iterator[Any]:
         yield page
         strangers = {url for url in asked if urlsplit(url).hostname not in (None, "127.0.0.1")}
         left = [text for text in complaints if not any(part in text for part in page.allowed)]
-    assert not strangers
-    assert not left
+    assert not strangers, strangers
+    assert not left, left
 
 
 def click(page: Any, pane: str, x: int, y: int) -> None:
