@@ -341,7 +341,7 @@ def _show_geometry(found: GeometryFit) -> None:
 def simulate(*, out: Path, arch: Arch = "auto") -> None:
     """Make captures of a simulated rig for every step of a calibration, to practise on, and the truth to judge it by.
 
-    It takes a minute or two, and 35 MB.
+    It takes a minute or two, and 33 MB.
 
     Example: colorphase calibrate simulate --out practice
 

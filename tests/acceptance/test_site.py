@@ -53,7 +53,7 @@ def test_search_needs_no_other_host(site):
             """Print nothing."""
 
         def do_GET(self):
-            """Send a file; a browser asks for an icon by itself, and is told that there is none."""
+            """Send a file; a browser requests an icon by itself, and there is none."""
             if self.path == "/favicon.ico":
                 self.send_response(204)
                 self.end_headers()

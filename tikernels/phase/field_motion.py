@@ -53,8 +53,8 @@ from tikernels.raw.linearization import LEVEL_TYPES
 _GRID_PX, _ROW_WINDOW = 2, 0.25
 # It is known where this share of the window has a phase in both frames, and where it is less than a third of a cycle.
 _FILLED, _FASTEST = 0.1, 2.0 * np.pi / 3
-# What is undone is right to this fraction times the time since the frame before, in times from frame to frame: surfaces
-# speed up and turn. From the second on it is a guess.
+# Standard deviation of what is undone, as a fraction of it, after one time from frame to frame: surfaces speed up and
+# turn, the more the longer ago the frame before is. From which fraction on the motion is a guess.
 _DOUBT, _GUESS = 0.2, 0.5
 # The change of the error over a cycle is sampled this often; half a cycle both ways is one independent sample, for so
 # far texture and compression reach.
@@ -85,19 +85,18 @@ class FieldMotion(NamedTuple):
     too_fast: float
     """Share of the pixels seen in both frames whose change they do not show, because it is too fast."""
     doubt: float = _DOUBT
-    """What is undone is right to this fraction."""
+    """Standard deviation of what is undone, as a fraction of it."""
 
     @property
     def guessed(self) -> float:
         """Share of the pixels that move so much that it shows, while the frame before is too long ago to know by it."""
-        return _guessed(self, self.times.std(axis=-1))
+        return _moving_share(self.change, self.times.std(axis=-1)) if self.doubt >= _GUESS else 0.0
 
     @property
     def unknown(self) -> float:
         """Share of the pixels that move so much that it shows, while the colours' times are not distinguished."""
         unsure = np.where(self.unsure > _DISTINCT * self.times.std(axis=-1), self.unsure, 0)
-        seen = np.count_nonzero(np.abs(np.nan_to_num(self.change)) * unsure > _UNNOTICED)
-        return float(seen / max(int(np.count_nonzero(np.isfinite(self.change))), 1))
+        return _moving_share(self.change, unsure)
 
     def lags(self, modulation: F32) -> npt.NDArray[np.float64]:
         """Return (3,) rad, the phase that each primary's template has in it which is read off this very frame.
@@ -127,7 +126,7 @@ class RowMotion(NamedTuple):
     @property
     def guessed(self) -> float:
         """See `FieldMotion`."""
-        return _guessed(self, np.abs(self.times))
+        return _moving_share(self.change, np.abs(self.times)) if self.doubt >= _GUESS else 0.0
 
     @property
     def since_middle(self) -> npt.NDArray[np.float32]:
@@ -135,11 +134,10 @@ class RowMotion(NamedTuple):
         return np.asarray(np.nan_to_num(self.change) * self.times)
 
 
-def _guessed(motion: FieldMotion | RowMotion, times: npt.NDArray[np.float32]) -> float:
-    if motion.doubt < _GUESS:
-        return 0.0
-    seen = np.count_nonzero(np.abs(np.nan_to_num(motion.change)) * times > _UNNOTICED)
-    return float(seen / max(int(np.count_nonzero(np.isfinite(motion.change))), 1))
+def _moving_share(change: npt.NDArray[np.float32], times: npt.NDArray[np.float32]) -> float:
+    """Return the share of the pixels with a change, (H, W) rad, that moves noticeably in (H or 1, W or 1) times."""
+    moving = np.count_nonzero(np.abs(np.nan_to_num(change)) * times > _UNNOTICED)
+    return float(moving / max(int(np.count_nonzero(np.isfinite(change))), 1))
 
 
 def measure_rows(

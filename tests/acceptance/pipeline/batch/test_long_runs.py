@@ -18,7 +18,7 @@ from pipeline.output.store import chosen_fields
 
 pytestmark = pytest.mark.usefixtures("cpu")
 
-KILLS = 10
+KILLS = 20
 
 
 @pytest.mark.timeout(1800)

@@ -85,7 +85,7 @@ def test_the_brightest_skin_reaches_nine_tenths():
 def test_depth_by_its_own_calibration():
     """Within 0.5 mm RMS and 0.3 mm of bias away from silhouettes, of 850 mm; nothing of the truth is known.
 
-    Orders of up to 1.5 % of a head are wrong, nearly none of them marked as absolute.
+    Some orders are wrong, nearly none of them marked as absolute.
     """
     place, n_places = 1, 3
     truth = simulate_place(place, n_places)
@@ -93,7 +93,7 @@ def test_depth_by_its_own_calibration():
     frame = SceneCamera(scene, PERIOD_S, webcam=False).expose(0, 0.0)
     figures = portrait_figures(Decoder(calibration=own_calibration(), arch="cpu").decode(frame), truth)
     assert figures.coverage > 0.85 and figures.coverage_inside > 0.93
-    assert figures.right_orders > 0.98 and figures.wrong_and_sure < 0.001
+    assert figures.right_orders > 0.99 and figures.wrong_and_sure < 0.001
     assert figures.rms_inside_mm < 0.5 and abs(figures.bias_inside_mm) < 0.3
 
 
